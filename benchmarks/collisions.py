@@ -145,7 +145,7 @@ def _cart(case: str, height: float, acceleration: float, *, gives_way: bool) -> 
     clearance = Clearance(scene, give_way=gives_way)
     controller = QPController(cell, lift.grasp, lift.path, dt=dt, constraints=[clearance])
     controller.reset(lift.q_start)
-    chain, steps, distances, own, off = Chain(cell, lift.grasp), [], Distances(scene), [], [0.0, 0.0]
+    chain, steps, distances, own, off = Chain(cell, lift.grasp), [], Distances(scene.built), [], [0.0, 0.0]
     (shape,) = scene.built.moving
     pairs = [k for k, label in enumerate(scene.built.labels) if "cart" in label]
     rows = []
@@ -278,7 +278,7 @@ def skipped(plan: Plan) -> Record:
     rng, worst, violations, asked = np.random.default_rng(0), 0.0, 0, 0
     tasks = (paper_lift(), dual_arm7(), mixed_cell(), plate_and_post())
     scenes = [CollisionScene.of(task, margin=0.0) for task in tasks]
-    asking = [Distances(scene) for scene in scenes]
+    asking = [Distances(scene.built) for scene in scenes]
     while asked < plan.jumps:
         for scene, distances in zip(scenes, asking, strict=True):
             cell, reach = scene.cell, scene.built.reach
@@ -356,7 +356,7 @@ def _timed(case: str, task: Scenario, scene: CollisionScene, plan: Plan, *, near
 
 def _coal(scene: CollisionScene, places: list[Any]) -> Iterator[float]:
     """CPU times [µs] of coal's own distances of the pairs within 30 mm of their margin at configurations."""
-    distances = Distances(scene)
+    distances = Distances(scene.built)
     for q in places[:: max(1, len(places) // 50)]:
         pairs = np.flatnonzero(distances.all(q) < scene.built.margins + NEAR).tolist()
         distances.place(scene.cell.moved(q, np.full(scene.cell.nv, 1e-9)))  # nothing is known there

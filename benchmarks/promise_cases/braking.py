@@ -6,7 +6,6 @@ distances Pinocchio's own collision query: nothing of the controller.
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from functools import partial
@@ -213,8 +212,7 @@ def without_rows(controller: QPController) -> None:
     if controller.kernel == "plain":
         loop._braking.rows = lambda *_: loop._no_rows
     else:
-        options = sys.modules[type(loop).__module__].layout.OPTIONS
-        loop.at["options"][options.index("LEAVES_PATH")] = 0.0
+        loop._numbers.leaves_path = 0.0
 
 
 def distance_to(scene: CollisionScene) -> Callable[[Array, pin.SE3], float]:

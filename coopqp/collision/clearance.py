@@ -16,8 +16,8 @@ import pinocchio as pin
 
 from coopqp.checks import as_scalar, require
 from coopqp.collision.distances import KERNEL, Distances, LowerBounds
-from coopqp.collision.evasion import Evasion
-from coopqp.collision.moving import MovingBodies
+from coopqp.collision.evasion import APPROACH, COMFORT, EvadingSlopes
+from coopqp.collision.moving_bodies import MovingBodies
 from coopqp.collision.scene import CollisionScene
 from coopqp.constraints.cause import Cause
 from coopqp.constraints.rate import Knot
@@ -37,11 +37,7 @@ _WATCH, _BLIND_WATCH = 0.1, 0.3
 _SAMPLE = 5e-4
 #: In a compiled step pairs are followed one by one within this of their margin, others all together [m].
 _CLOSE = 0.25
-#: Pairs are looked at this far beyond the comfort, so that evasion begins gently [m].
-_EVADES_EARLY = 0.05
-#: Missing speed of a distance, per second of the path's clock, up to which evasion grows with its square [m/s].
-_GENTLE = 0.1
-#: Room that the bend between two knots may take, where they are certified together [m].
+#: Clearance that the bend between two knots may take, where they are certified together [m].
 _BEND = 2e-3
 #: The joints' way between knots is no longer than this many times the straight one.
 _BENT = 1.02
@@ -79,8 +75,8 @@ class Clearance:
         self,
         scene: CollisionScene,
         *,
-        approach: float = 5.0,
-        comfort: float = 0.03,
+        approach: float = APPROACH,
+        comfort: float = COMFORT,
         give_way: bool = False,
         stopping: float = 0.4,
         patience: float = 0.1,
@@ -94,27 +90,24 @@ class Clearance:
         self.stopping = as_scalar(stopping, "Clearance: stopping", high=60.0)
         self.patience = as_scalar(patience, "Clearance: patience", high=60.0)
         pairs = [BindingLimit("", "", LimitKind.COLLISION, between=label) for label in scene.built.labels]
-        self._moving = MovingBodies(scene, approach=self.approach, give_way=self.give_way, stopping=self.stopping)
+        self._moving = MovingBodies(scene.built, approach=self.approach, give_way=self.give_way, stopping=self.stopping)
         self.labels = (*pairs, *self._moving.labels)
         self._prepare()
 
     def _prepare(self) -> None:
         built, cell = self.scene.built, self.scene.cell
-        self._distances, self._probe = Distances(self.scene), Distances(self.scene)
-        self._step, self._ahead = (LowerBounds(self.scene, self._distances) for _ in range(2))
+        self._distances, self._probe = Distances(built), Distances(built)
+        self._step, self._ahead = (LowerBounds(built, self._distances) for _ in range(2))
         self._bounds = [self._step, self._ahead]
         self._in_memory: LowerBounds | None = None
         self._native: list[RowsInMemory] = []
         self._margins, self._inside, self._reach = built.margins, built.inside, built.reach
         speed = cell.limits.velocity
-        self._evasion = Evasion(cell)
-        evades = bool(self._evasion) and self.comfort > 0.0
-        self._evading_from = self.comfort + _EVADES_EARLY if evades else 0.0
+        self._evading = EvadingSlopes(built, self._ahead, approach=self.approach, comfort=self.comfort)
         self._fastest = built.reach @ np.where(np.isfinite(speed), speed, 0.0)
         self._fastest[(built.reach[:, ~np.isfinite(speed)] > 0.0).any(axis=1)] = np.inf
         self._approach = np.inf
         self._most = np.where(np.isfinite(speed), speed, 1e9)
-        self._in_view = np.full(len(built.labels), self._evading_from)
         self._watch_of, self._watch = (0.0, False), self._fastest
         self._counts = np.zeros(2)
         self._most_pairs = min(_MOST_PAIRS, MOST_ROWS - self._moving.most_rows)
@@ -151,8 +144,8 @@ class Clearance:
 
     @property
     def quiet_ahead(self) -> Quiet:
-        """Where no knot is stopped, from the last :meth:`room` on."""
-        return self._quiet(self._ahead, max(_BEND, self._evading_from), np.inf)
+        """Where no knot is stopped, from the last :meth:`stopping_pair` on."""
+        return self._quiet(self._ahead, max(_BEND, self._evading.begins), np.inf)
 
     def _quiet(self, bounds: LowerBounds, spare: float, approach: float) -> Quiet:
         reach, slack = bounds.certificate(spare)
@@ -171,8 +164,10 @@ class Clearance:
 
         Pairs are asked whose lower bound of the last step does not exclude it.
         """
-        rooms = self._step.rooms if self._in_memory is None else np.minimum(self._step.rooms, self._in_memory.rooms)
-        near = np.flatnonzero((rooms < -_ROUNDING) & ~self._inside)
+        clearances = self._step.clearances
+        if self._in_memory is not None:
+            clearances = np.minimum(clearances, self._in_memory.clearances)
+        near = np.flatnonzero((clearances < -_ROUNDING) & ~self._inside)
         if not near.size:
             return ()
         self._probe.place(q)
@@ -181,7 +176,7 @@ class Clearance:
 
     def _overlaps(self) -> tuple[BindingLimit, ...]:
         """Pairs that overlap with a moving body where rows were asked, the deepest first."""
-        distances, pairs = self._step.rooms + self._margins, self._moving.pairs
+        distances, pairs = self._step.clearances + self._margins, self._moving.pairs
         found = pairs[(distances[pairs] < 0.0) & ~self._inside[pairs]]
         return tuple(replace(self.labels[k], distance=distances[k]) for k in found[distances[found].argsort()])
 
@@ -262,18 +257,18 @@ class Clearance:
         bounds.follow(x)
         if self._moving:
             self._moving.follow(x, dt)
-            bounds.rooms[self._moving.pairs] = -np.inf
+            bounds.clearances[self._moving.pairs] = -np.inf
         self._distances.place(q)
         near = bounds.near(self._watched(xi, blind=blind))
         bounds.sharpen(near)
         if len(near) > self._most_pairs:
-            near = sorted(sorted(near, key=bounds.rooms.item)[: self._most_pairs])
+            near = sorted(sorted(near, key=bounds.clearances.item)[: self._most_pairs])
         if not near:
             return self._no_rows
-        gradient, lower = self._distances.rows(near, bounds.rooms, xi)
+        gradient, lower = self._distances.rows(near, bounds.clearances, xi)
         if self._moving:
             which = np.array(near)
-            self._moving.bound(which, bounds.rooms[which], gradient, lower, dt)
+            self._moving.bound(which, bounds.clearances[which], gradient, lower, dt)
         binds = KERNEL.binding(gradient.rows, lower, self._most)
         kept = LabelledRows(gradient.rows, lower, self._endless[: len(near)], np.array(near))
         if len(binds) < len(near):
@@ -307,14 +302,16 @@ class Clearance:
             return None if own is None else np.concatenate([own, rows.lower[~pairs]])
         if not len(rows.which):
             return None
-        rooms = self._step.rooms[rows.which]
-        least = np.minimum(rooms, 0.0)
-        close = np.flatnonzero(rooms + dt * (rows.G @ v) < least + _SAMPLE)
+        clearances = self._step.clearances[rows.which]
+        least = np.minimum(clearances, 0.0)
+        close = np.flatnonzero(clearances + dt * (rows.G @ v) < least + _SAMPLE)
         if not close.size:
             return None
         self._distances.place(q_next)
-        room = np.array([self._distances.one(int(rows.which[i])) for i in close]) - self._margins[rows.which[close]]
-        missing = least[close] - room
+        clearance = (
+            np.array([self._distances.one(int(rows.which[i])) for i in close]) - self._margins[rows.which[close]]
+        )
+        missing = least[close] - clearance
         bent = (missing > 0.1 * _STANDS) & ~self._moving.moves[rows.which[close]]
         if not bent.any():
             return None
@@ -338,14 +335,14 @@ class Clearance:
         quiet = ("centre", "reach", "slack", "approach")
         knots = ("knots", "knot_positions", "knot_slope", "knot_curvature")
         names = (*step, *(f"{'quiet_ahead' if ahead else 'quiet'}_{name}" for name in quiet), *knots)
-        spare, evades = (max(_BEND, self._evading_from), self._evading_from) if ahead else (0.0, -1.0)
+        spare, evades = (max(_BEND, self._evading.begins), self._evading.begins) if ahead else (0.0, -1.0)
         numbers = (
             self.approach, _WATCH, _BLIND_WATCH, _SAMPLE, _STANDS, float(self._most_pairs), *memory["knot_numbers"],
             _BENT, spare, evades, _CLOSE,
         )  # fmt: skip
         arrays = np.zeros(2) if ahead else self._counts, self._most, self._fastest, *(memory[name] for name in names)
-        bounds = LowerBounds(self.scene, self._distances)
-        found: RowsInMemory | None = Distances(self.scene).nearby(bounds, arrays, numbers)
+        bounds = LowerBounds(self.scene.built, self._distances)
+        found: RowsInMemory | None = Distances(self.scene.built).nearby(bounds, arrays, numbers)
         if found is not None:
             self._bounds.append(bounds)
             self._native.append(found)
@@ -354,7 +351,7 @@ class Clearance:
 
     # -- the path ahead --------------------------------------------------------------------------------------------
 
-    def room(self, knot: Knot, among: Sequence[int] | None = None) -> int:
+    def stopping_pair(self, knot: Knot, among: Sequence[int] | None = None) -> int:
         """Label of a pair, of all or among some, that stops the object between the knot before and this one, or −1.
 
         It stops where the distance is below the margin while it falls.
@@ -368,44 +365,25 @@ class Clearance:
         bounds, positions = self._ahead, self.scene.cell.positions
         bounds.follow(positions(knot.state.q))
         way = _BENT * (self._reach @ np.abs(self._back(knot, knot.span)))
-        bounds.rooms[self._moving.pairs] = np.inf  # where they will be nobody knows
-        close = np.maximum(way, self._evading_from)
-        if not (bounds.rooms < close).any():
+        bounds.clearances[self._moving.pairs] = np.inf  # where they will be nobody knows
+        close = np.maximum(way, self._evading.begins)
+        if not (bounds.clearances < close).any():
             return -1
         self._distances.place(knot.state.q)
-        bounds.ask(np.flatnonzero(bounds.rooms < close).tolist())
+        bounds.ask(np.flatnonzero(bounds.clearances < close).tolist())
         bounds.sharpen()
-        for k in np.flatnonzero(bounds.rooms < way):
+        for k in np.flatnonzero(bounds.clearances < way):
             if self._crosses(int(k), knot, float(way[k])):
                 return int(k)
         return -1
 
     def evaded(self, q: Array, slope: Array) -> Array:
-        """Slopes with the self-motion of redundant arms that keeps ``ḋ ≥ −ξ (d − m − comfort)``.
-
-        It begins and ends gently, so that slopes bend and accelerations stay small: bounds are lower where a pair comes
-        into view, and a small missing speed is met only in part, by its square.
-        """
-        if not self._evading_from:
-            return slope
-        bounds = self._ahead
-        bounds.follow(self.scene.cell.positions(q))
-        bounds.rooms[self._moving.pairs] = np.inf
-        self._distances.place(q)
-        near = bounds.near(self._in_view)
-        if not near:
-            return slope
-        G = self._distances.gradient(near).rows
-        spare = bounds.rooms[near] - self.comfort
-        lower = -self.approach * spare / np.maximum(1.0 - np.maximum(spare, 0.0) / _EVADES_EARLY, _ROUNDING)
-        kept = G @ slope
-        missing = lower - kept
-        first = np.clip(missing, 0.0, _GENTLE)
-        return self._evasion.slope(q, slope, G, lower - first + first**2 / (2.0 * _GENTLE))
+        """Slopes with the self-motion of redundant arms; see :class:`coopqp.collision.evasion.EvadingSlopes`."""
+        return self._evading.at(q, slope)
 
     def _crosses(self, k: int, knot: Knot, way: float) -> bool:
         """Whether pair ``k`` comes inside its margin, or closer inside it, between the knot before and this one."""
-        after, before = float(self._ahead.rooms[k]), self._room_at(k, knot, knot.span)
+        after, before = float(self._ahead.clearances[k]), self._clearance_at(k, knot, knot.span)
         if knot.span == 0.0:  # the first knot
             G = self._distances.gradient([k]).rows[0]
             return after < -_ROUNDING and float(G @ knot.slope) < -_STANDS
@@ -418,13 +396,13 @@ class Clearance:
             if 0.5 * (d_late + d_early - length) >= least or length < _SAMPLE:
                 continue
             middle = 0.5 * (late + early)
-            d = self._room_at(k, knot, middle)
+            d = self._clearance_at(k, knot, middle)
             if d < least:
                 return True
             pieces += [(late, d_late, middle, d, 0.5 * length), (middle, d, early, d_early, 0.5 * length)]
         return False
 
-    def _room_at(self, k: int, knot: Knot, back: float) -> float:
+    def _clearance_at(self, k: int, knot: Knot, back: float) -> float:
         """How far pair ``k`` is from its margin at a clock before the knot [m]."""
         self._distances.place(self.scene.cell.moved(knot.state.q, self._back(knot, back)))
         return self._distances.one(k) - float(self._margins[k])

@@ -16,7 +16,7 @@ from typing import Any
 
 import numpy as np
 
-from coopqp.collision.geometry import hull_of
+from coopqp.collision.coal_geometry import hull_of
 from coopqp.errors import InvalidInputError, MissingExtraError
 from coopqp.spatial import Array
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from typing import TYPE_CHECKING, Any, NamedTuple, final
+from typing import Any, NamedTuple, final
 
 import coal
 import numpy as np
@@ -11,14 +11,12 @@ import numpy.typing as npt
 import pinocchio as pin
 
 from coopqp.collision import bounds_plain
+from coopqp.collision.built_scene import BuiltScene
 from coopqp.native import compiled, warn_once
 from coopqp.spatial import Array
 
 #: The module for bounds and rows: compiled or plain.
 KERNEL: Any = compiled() or bounds_plain
-
-if TYPE_CHECKING:
-    from coopqp.collision.scene import CollisionScene
 
 #: coal's own tolerance leaves gradients wrong by 0.2; with this one by 2e-4.
 _TOLERANCE = 1e-9
@@ -28,8 +26,8 @@ _DEEPEST = -1.0
 #: Nearest points beyond this are none: that search has failed [m].
 _FARTHEST = 1e9
 
-#: Pairs that are asked at most to sharpen bounds, and a room that counts as none [m].
-_MOST_ASKED, _LEAST_ROOM = 20, 1e-9
+#: Pairs that are asked at most to sharpen bounds, and a clearance that counts as none [m].
+_MOST_ASKED, _LEAST_CLEARANCE = 20, 1e-9
 #: The same in a compiled step.
 _MOST_ASKED_IN_STEP = 6
 
@@ -67,13 +65,13 @@ class Distances:
     """Distances at one configuration after the other; owns what coal writes.
 
     Args:
-        scene: the scene of the pairs.
+        built: the scene of the pairs.
     """
 
-    def __init__(self, scene: CollisionScene) -> None:
-        built, self._cell = scene.built, scene.cell
+    def __init__(self, built: BuiltScene) -> None:
+        self._cell = built.cell
         self._geometry = built.geometry.copy()
-        self._data, self._placed = scene.cell.model.createData(), self._geometry.createData()
+        self._data, self._placed = built.cell.model.createData(), self._geometry.createData()
         for k in range(len(built.labels)):
             self._placed.distanceRequests[k] = _REQUEST
         self._results = [self._placed.distanceResults[k] for k in range(len(built.labels))]
@@ -142,7 +140,7 @@ class Distances:
         )  # fmt: skip
         return KERNEL.Nearby(
             (*own, *step),
-            (*numbers, _LEAST_ROOM, _DEEPEST, float(_MOST_ASKED_IN_STEP)),
+            (*numbers, _LEAST_CLEARANCE, _DEEPEST, float(_MOST_ASKED_IN_STEP)),
             (self._data, placed),
             placing,
             pin.computeDistance,
@@ -160,8 +158,14 @@ class Distances:
         """
         return self.rows([int(k) for k in pairs], self._nothing, 0.0)[0]
 
-    def rows(self, pairs: list[int], rooms: Array, approach: float) -> tuple[Gradient, Array]:
-        """Gradient of pairs, and lower bounds ``ḋ ≥ −ξ`` room (m,), for the rooms of all pairs (P,) [m] and ξ [1/s]."""
+    def rows(self, pairs: list[int], clearances: Array, approach: float) -> tuple[Gradient, Array]:
+        """Gradient of m pairs, and lower bounds of ḋ: −ξ times the clearance.
+
+        Args:
+            pairs: their numbers.
+            clearances: of all pairs (P,) [m].
+            approach: ξ [1/s].
+        """
         ends = []
         for k in pairs:
             result = self._results[k]
@@ -169,7 +173,7 @@ class Distances:
         both, lower = np.array(ends).reshape(-1, 6), np.empty(len(ends))
         both[~(np.abs(both) < _FARTHEST).all(axis=1)] = 0.0  # of an overlap whose depth coal did not find
         G = np.empty((len(ends), self._cell.nv))
-        KERNEL.rows(both, self._data.J.T, self._kinds, rooms, pairs, approach, G, lower)
+        KERNEL.rows(both, self._data.J.T, self._kinds, clearances, pairs, approach, G, lower)
         return Gradient(G, both[:, :3], both[:, 3:]), lower
 
 
@@ -180,7 +184,7 @@ class LowerBounds:
     A joint that moves by δ changes the distance of a pair by at most its reach times |δ|.
 
     Args:
-        scene: the scene of the pairs.
+        built: the scene of the pairs.
         distances: the distances that are asked.
         kernel: the code of the bounds, ``distances_binding.cpp`` or :mod:`coopqp.collision.bounds_plain`; None for the
             fastest of this installation.
@@ -189,49 +193,48 @@ class LowerBounds:
         KernelWarning: there is no compiled kernel, and none was asked for.
     """
 
-    def __init__(self, scene: CollisionScene, distances: Distances, *, kernel: Any = None) -> None:
+    def __init__(self, built: BuiltScene, distances: Distances, *, kernel: Any = None) -> None:
         if kernel is None:
             warn_once()
-        built, nv = scene.built, scene.cell.nv
-        self._margins, self._distances, self._kernel = built.margins, distances, kernel or KERNEL
+        self._margins, self.distances, self._kernel = built.margins, distances, kernel or KERNEL
         self._reach = np.ascontiguousarray(built.reach.T)  # as the kernel reads it
         self._most = built.reach.sum(axis=1)
-        self._continuous = scene.cell.continuous.astype(float)
-        self._shares, self._weights = np.empty(len(built.margins)), np.zeros(nv)
-        self.rooms = np.full(len(built.margins), -np.inf)  # at least this far from the margin (P,) [m]
-        self.positions = np.zeros(nv)
+        self._continuous = built.cell.continuous.astype(float)
+        self._shares, self._weights = np.empty(len(built.margins)), np.zeros(built.cell.nv)
+        self.clearances = np.full(len(built.margins), -np.inf)  # at least this far from the margin (P,) [m]
+        self.positions = np.zeros(built.cell.nv)
         self._epoch = np.zeros(1)
 
     def arrays(self) -> tuple[Array, ...]:
-        """Rooms, reaches, positions, number of starts, margins, and the room that a unit of motion takes at most."""
-        return self.rooms, self._reach, self.positions, self._epoch, self._margins, self._most
+        """Clearances, reaches, positions, number of starts, margins, and what a unit of motion takes at most."""
+        return self.clearances, self._reach, self.positions, self._epoch, self._margins, self._most
 
     def start(self, distances: Array, positions: Array) -> None:
         """Begin where all distances (P,) are known."""
-        self.rooms[:] = distances - self._margins
+        self.clearances[:] = distances - self._margins
         self.positions[:] = positions
         self._epoch += 1.0
 
     def follow(self, positions: Array) -> None:
         """The joints are at positions (nv,) now."""
-        self._kernel.follow(self.rooms, self._reach, self.positions, positions, self._continuous)
+        self._kernel.follow(self.clearances, self._reach, self.positions, positions, self._continuous)
 
     def near(self, watch: Array) -> list[int]:
         """Pairs nearer to their margin than this (P,) where shapes are placed; coal is asked for those that may be."""
-        asked = self._kernel.near(self.rooms, watch)
+        asked = self._kernel.near(self.clearances, watch)
         self.ask(asked)
-        return [k for k in asked if self.rooms[k] < watch[k]]
+        return [k for k in asked if self.clearances[k] < watch[k]]
 
     def ask(self, pairs: Iterable[int]) -> None:
         """Ask coal for pairs, where the shapes are placed."""
         for k in pairs:
-            self.rooms[k] = self._distances.one(k) - self._margins[k]
+            self.clearances[k] = self.distances.one(k) - self._margins[k]
 
     def sharpen(self, asked: Iterable[int] = ()) -> None:
-        """Ask for pairs until the distance of the pair that may use up its room first is known."""
+        """Ask for pairs until the distance of the pair that may use up its clearance first is known."""
         known = set(asked)
         while len(known) < _MOST_ASKED:
-            k = self._kernel.soonest(self.rooms, self._most, _LEAST_ROOM)
+            k = self._kernel.soonest(self.clearances, self._most, _LEAST_CLEARANCE)
             if k in known:
                 return
             self.ask([k])
@@ -240,11 +243,12 @@ class LowerBounds:
     def certificate(self, spare: float = 0.0) -> tuple[Array, float]:
         """Reach (nv,) and slack of a :class:`coopqp.constraints.velocity.Quiet` about :attr:`positions`.
 
-        A pair with room d and reach ρ keeps its margin where ``Σ ρ |δ| ≤ d``; all do where ``Σ max(ρ / d) |δ| ≤ 1``.
+        A pair with clearance d and reach ρ keeps its margin where ``Σ ρ |δ| ≤ d``. All pairs do where
+        ``Σ max(ρ / d) |δ| ≤ 1``.
 
         Args:
-            spare: room that is kept for something else [m].
+            spare: clearance that is kept for something else [m].
         """
         weights = self._weights
-        known = self._kernel.certify(self.rooms, self._reach, spare, self._shares, weights)
+        known = self._kernel.certify(self.clearances, self._reach, spare, self._shares, weights)
         return weights.copy(), 1.0 if known else -1.0

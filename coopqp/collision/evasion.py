@@ -8,12 +8,25 @@ import numpy as np
 import numpy.typing as npt
 import pinocchio as pin
 
+from coopqp.collision.built_scene import BuiltScene
+from coopqp.collision.distances import Distances, LowerBounds
 from coopqp.model.cell import RobotCell
+from coopqp.planning.joint_trajectories import CellWay
 from coopqp.spatial import Array
 
 #: A row that is broken by 1/YIELDS costs as much as a self-motion of 1. With 1000 arms swung past posts at many times
 #: their speeds, along slopes that the look-ahead cannot follow.
 YIELDS = 50.0
+#: Where nothing else is said: the approach to a margin [1/s], and how far redundant arms keep from it [m].
+APPROACH, COMFORT = 5.0, 0.03
+#: Pairs are looked at this far beyond the comfort, so that evasion begins gently [m].
+EVADES_EARLY = 0.05
+#: Missing speed of a distance, per second of the path's clock, up to which evasion grows with its square [m/s].
+_GENTLE = 0.1
+#: Clearances this small are rounding [m].
+_ROUNDING = 1e-6
+#: Pieces of a trajectory along which redundant arms evade, at least.
+_PIECES = 150
 #: Accepted violation of a row; DAQP's default is 1e-6.
 _TOLERANCE = 1e-10
 #: A self-motion that changes no distance by more than this does not help [m per unit of joint speed].
@@ -78,3 +91,75 @@ class Evasion:
             return slope
         out: Array = slope + N @ z[: A.shape[1]]
         return out
+
+
+@final
+class EvadingSlopes:
+    """Slopes of joint trajectories with the self-motion that keeps ``ḋ ≥ −ξ (d − m − comfort)``.
+
+    It begins and ends gently, so that slopes bend and accelerations stay small: bounds are lower where a pair comes
+    into view, and a small missing speed is met only in part, by its square.
+
+    Args:
+        built: what may touch what.
+        bounds: lower bounds of distances, which follow the configurations that are asked about.
+        approach, comfort: ξ [1/s], and the distance beyond the margin that is kept [m]. 0: arms do not evade.
+
+    Attributes:
+        begins: clearance below which a pair may change slopes [m]; 0 if none does.
+    """
+
+    def __init__(self, built: BuiltScene, bounds: LowerBounds, *, approach: float, comfort: float) -> None:
+        self._built, self._bounds, self._approach, self._comfort = built, bounds, approach, comfort
+        self._evasion = Evasion(built.cell)
+        self.begins = comfort + EVADES_EARLY if self._evasion and comfort > 0.0 else 0.0
+        self._in_view = np.full(len(built.labels), self.begins)
+        self._moving = np.flatnonzero(built.moves)
+
+    def __bool__(self) -> bool:
+        return self.begins > 0.0
+
+    def at(self, q: Array, slope: Array) -> Array:
+        """q′ (nv,) at a configuration (nq,)."""
+        if not self:
+            return slope
+        bounds = self._bounds
+        bounds.follow(self._built.cell.positions(q))
+        bounds.clearances[self._moving] = np.inf  # where they will be nobody knows
+        bounds.distances.place(q)
+        near = bounds.near(self._in_view)
+        if not near:
+            return slope
+        G = bounds.distances.gradient(near).rows
+        spare = bounds.clearances[near] - self._comfort
+        lower = -self._approach * spare / np.maximum(1.0 - np.maximum(spare, 0.0) / EVADES_EARLY, _ROUNDING)
+        first = np.clip(lower - G @ slope, 0.0, _GENTLE)
+        return self._evasion.slope(q, slope, G, lower - first + first**2 / (2.0 * _GENTLE))
+
+
+def evading_trajectory(built: BuiltScene, way: CellWay) -> tuple[Array, Array] | None:
+    """A trajectory on which redundant arms keep off by their self-motion, as a controller leads them.
+
+    Returns:
+        places on the way (K,) and joint positions (K, nv) there; None without redundant arms.
+    """
+    cell = built.cell
+    if all(own.stop - own.start <= 6 for own in cell.v_slices):
+        return None
+    evading = EvadingSlopes(built, LowerBounds(built, Distances(built)), approach=APPROACH, comfort=COMFORT)
+    pieces = max(1, -(-_PIECES // max(len(way.places) - 1, 1)))
+    places = np.interp(np.arange(pieces * (len(way.places) - 1) + 1) / pieces, np.arange(len(way.places)), way.places)
+    clocks, poses = way.clocks(places), way.poses(places)
+    x = way.positions(places[:1])[0]
+    rows = [x[0]]
+    for i, span in enumerate(np.diff(clocks).tolist()):
+        ahead = way.reached(rows[-1], poses[i + 1])
+        if ahead is None:
+            return None
+        if span > 0.0:
+            slope = evading.at(cell.configuration(rows[-1]), (ahead - rows[-1]) / span)
+            ahead = way.reached(rows[-1] + span * slope, poses[i + 1])
+            if ahead is None:
+                return None
+        rows.append(ahead)
+    return places, np.array(rows)

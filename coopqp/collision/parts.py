@@ -10,7 +10,7 @@ from typing import Any, final
 import numpy as np
 import pinocchio as pin
 
-from coopqp.collision.geometry import reach_of
+from coopqp.collision.coal_geometry import reach_of
 from coopqp.model.cell import RobotCell
 
 #: Stroke of a sliding joint without limits, for bounds of motion [m].

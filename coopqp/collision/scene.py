@@ -12,16 +12,21 @@ import numpy as np
 import pinocchio as pin
 
 from coopqp.checks import as_scalar, require
-from coopqp.collision.geometry import reach_of
+from coopqp.collision.branch_choice import clear_choice
+from coopqp.collision.built_scene import BuiltScene
+from coopqp.collision.coal_geometry import reach_of
+from coopqp.collision.convex_shapes import ConvexShapes
+from coopqp.collision.distances import Distances
+from coopqp.collision.evasion import evading_trajectory
 from coopqp.collision.pairs import Names, PairRules, as_pair, srdf_pairs
 from coopqp.collision.parts import Levers, Part, joints_to
-from coopqp.collision.shapes import Shapes
+from coopqp.collision.path_check import check_clearance
 from coopqp.errors import InvalidInputError, UnknownNameError, shown
 from coopqp.model.cell import RobotCell
 from coopqp.model.grasp import Grasp
 from coopqp.model.shapes import Body, Box, NearPair
 from coopqp.paths.scenario import Scenario
-from coopqp.planning.clearance import ClearanceCheck
+from coopqp.planning.clearance_check import ClearanceCheck
 from coopqp.planning.joint_trajectories import CellWay
 from coopqp.spatial import Array, as_placement
 
@@ -116,7 +121,7 @@ class CollisionScene:
         return CollisionScene(**{**given, **changes})
 
     @cached_property
-    def built(self) -> Built:
+    def built(self) -> BuiltScene:
         """The bodies in Pinocchio's terms."""
         return _build(self)
 
@@ -137,19 +142,15 @@ class CollisionScene:
 
     def distances(self, q: Any) -> tuple[NearPair, ...]:
         """Distances of all pairs of names at a configuration (nq,), the nearest first [m]."""
-        from coopqp.collision.distances import Distances
-
         x = self.cell.check_configuration(q, "CollisionScene: q")
         found: dict[tuple[str, str], float] = {}
-        for label, d in zip(self.built.labels, Distances(self).all(x).tolist(), strict=True):
+        for label, d in zip(self.built.labels, Distances(self.built).all(x).tolist(), strict=True):
             found[label] = min(d, found.get(label, np.inf))
         return tuple(NearPair(*label, d) for label, d in sorted(found.items(), key=lambda item: item[1]))
 
     def along(self, way: CellWay, *, any_start: bool = False) -> ClearanceCheck:
         """Distances along a way that is checked before the motion; see :func:`coopqp.check_path`."""
-        from coopqp.collision.along import along
-
-        return along(self, way, any_start=any_start)
+        return check_clearance(self.built, way, any_start=any_start)
 
     def evading(self, way: CellWay) -> tuple[Array, Array] | None:
         """The way with the self-motion of redundant arms that keeps bodies apart; None if no self-motion does.
@@ -157,9 +158,7 @@ class CollisionScene:
         Returns:
             places on the way (K,) and joint positions (K, nv).
         """
-        from coopqp.collision.along import evading
-
-        return evading(self, way)
+        return evading_trajectory(self.built, way)
 
     def clear_choice(self, ways: Sequence[Array]) -> tuple[int, ...] | None:
         """One way for each arm, the best first; together they keep all margins at the samples. None if no ways do.
@@ -167,9 +166,7 @@ class CollisionScene:
         Args:
             ways: joint positions of each arm along its ways (B, K, its joints) [rad or m].
         """
-        from coopqp.collision.along import clear_choice
-
-        return clear_choice(self, ways)
+        return clear_choice(self.built, ways)
 
     def of_cell(self, cell: RobotCell, grasp: Grasp) -> CollisionScene:
         """The same bodies about other arms or another grasp."""
@@ -177,36 +174,6 @@ class CollisionScene:
 
     def __getstate__(self) -> dict[str, Any]:
         return {name: value for name, value in self.__dict__.items() if name != "built"}
-
-
-@dataclass(frozen=True, eq=False)
-class Built:
-    """A scene in arrays. P pairs of shapes.
-
-    Attributes:
-        geometry: all shapes with their pairs, for the cell's model.
-        names: name of each shape's body.
-        labels: names of each pair's bodies.
-        kinds: +1, −1 or 0 for joints that move the second body of a pair only, the first only, or both or none (P, nv).
-        reach: largest motion of a pair's distance per unit of joint motion (P, nv) [m/rad or 1].
-        margins: margin of each pair (P,) [m].
-        inside: pairs that may start inside their margin (P,).
-        levers: largest distance of the object's points from its origin, for pairs of the object with a body that stands
-            in the world (P,) [m]; infinite for others.
-        moving: number of the shapes of moving bodies.
-        notes: :attr:`CollisionScene.notes` by the name of the body.
-    """
-
-    geometry: pin.GeometryModel
-    names: tuple[str, ...]
-    labels: tuple[tuple[str, str], ...]
-    kinds: Array
-    reach: Array
-    margins: Array
-    inside: Any
-    levers: Array
-    moving: tuple[int, ...]
-    notes: Mapping[str, str]
 
 
 def _bodies(bodies: Any, where: str) -> tuple[Body, ...]:
@@ -218,8 +185,10 @@ def _bodies(bodies: Any, where: str) -> tuple[Body, ...]:
     return found
 
 
-def _build(scene: CollisionScene) -> Built:
-    shapes = Shapes(scene)
+def _build(scene: CollisionScene) -> BuiltScene:
+    on_links = [body for bodies in scene.on_links.values() for body in bodies]
+    others = (*scene.carried, *scene.obstacles, *on_links)
+    shapes = ConvexShapes(scene.cell, others, scene.moving, scene.decompose)
     parts = [*_links(scene, shapes), *_others(scene, shapes)]
     if len(parts) < 2:
         raise InvalidInputError(
@@ -252,7 +221,8 @@ def _build(scene: CollisionScene) -> Built:
     for pair, margin in scene.margins.items():
         meant = known.pairs([pair], "CollisionScene: margins")
         margins[[frozenset(label) in meant for label in labels]] = margin
-    return Built(
+    return BuiltScene(
+        scene.cell,
         geometry,
         names,
         labels,
@@ -261,6 +231,7 @@ def _build(scene: CollisionScene) -> Built:
         margins,
         np.array([frozenset(label) in inside for label in labels], dtype=bool),
         np.array(levers) * (1.0 + _MORE),
+        tuple(scene.moving),
         tuple(i for i, part in enumerate(parts) if part.moving),
         shapes.notes,
     )
@@ -286,7 +257,7 @@ def _check_names(scene: CollisionScene, parts: Sequence[Part]) -> None:
             )
 
 
-def _links(scene: CollisionScene, convex: Shapes) -> list[Part]:
+def _links(scene: CollisionScene, convex: ConvexShapes) -> list[Part]:
     """The arms' own shapes, and those that the user put on links."""
     model, parts = scene.cell.model, []
     shapes = list(scene.cell.collision_model().geometryObjects)
@@ -309,7 +280,7 @@ def _links(scene: CollisionScene, convex: Shapes) -> list[Part]:
     return parts
 
 
-def _others(scene: CollisionScene, convex: Shapes) -> list[Part]:
+def _others(scene: CollisionScene, convex: ConvexShapes) -> list[Part]:
     """The object, as each arm carries it, and the surroundings.
 
     All arms carry the object to one place, up to the chain's error. With the links of an arm goes the object as that

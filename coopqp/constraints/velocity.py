@@ -154,7 +154,7 @@ class CertifiedConstraint(VelocityConstraint, Protocol):
         """The same rows, or those of knots ahead, over the memory of a compiled step; None without a native form."""
         ...
 
-    def room(self, knot: Knot, among: Sequence[int] | None = None) -> int:
+    def stopping_pair(self, knot: Knot, among: Sequence[int] | None = None) -> int:
         """Number of the label, of all or among some, that stops the object before a knot; −1 if none does."""
         ...
 

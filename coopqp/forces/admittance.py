@@ -59,9 +59,9 @@ _PRESS, _PRESS_LEAST, _PRESS_MOST, _PRESS_SPEED = 3.0, 1e-5, 5e-4, 5e-4
 #: Range of the measured ρ. Softer servos than given are not answered faster, as their damping need not be softer; but
 #: their deflection is judged by it.
 _STIFFEST = (0.05, 20.0)
-#: While the arms press at rest, where no grasp answers wrenches, sensors may be silent for this multiple of silent_time.
+#: While the arms press at rest, where no grasp answers wrenches, sensors may be silent for so many times silent_time.
 _SILENT_AT_REST = 4.0
-#: Probability of so many lost samples in a row that they are silence, and the largest share of lost samples it is told by.
+#: Probability of lost samples in a row from which on they are silence, and the largest share of lost ones that counts.
 _NO_CHANCE, _MOST_LOST = 1e-6, 0.5
 #: Attributes that change.
 _VARYING = ("_pressed", "_pressing", "_waited", "_felt", "_grows", "_base", "_soft")

@@ -73,7 +73,7 @@ class ForceOptions:
     silent_time: Annotated[
         float,
         Doc(
-            "time without a new wrench after which the object is held [s]; longer for a sensor that loses samples at random"
+            "time without a new wrench after which the object is held [s]; longer for sensors that lose some at random"
         ),
     ] = 0.05
 

@@ -1,7 +1,7 @@
 /* The memory of the look-ahead, and the functions that its files share.
  *
- * Knots lie in a ring, numbered from the one at or before the clock; `place` is where in the ring. COUNT of them are
- * known. Behind these lie tentative ones: WAY knots of a way past a singularity, then the knot that is being tried. So
+ * Knots lie in a ring, numbered from the one at or before the clock; `place` is where in the ring. `count` of them are
+ * known. Behind these lie tentative ones: `way` knots of a way past a singularity, then the knot that is being tried. So
  * all that a pause has to keep is in the state, and a copy of the state goes on as the original would. */
 
 #ifndef COOPQP_AHEAD_H
@@ -12,13 +12,11 @@
 /* Outcome of one Newton step at the tried knot. CANNOT_SAY: a user's path, or a further constraint, fails. */
 enum Trial { PENDING, REJECTED, FOUND, CANNOT_SAY };
 
-static int count_ahead(const Core *c, int what) { return (int)c->ahead[what]; }
+static int place_of(const Core *c, int i) { return ((int)c->ahead->head + i) % MOST_KNOTS; }
 
-static int place_of(const Core *c, int i) { return (count_ahead(c, HEAD) + i) % MOST_KNOTS; }
+static Knot *knot_in(const Core *c, int place) { return c->knots + place; }
 
-static double *knot_in(const Core *c, int place) { return c->knots + (size_t)place * N_KNOT; }
-
-static double *knot(const Core *c, int i) { return knot_in(c, place_of(c, i)); }
+static Knot *knot(const Core *c, int i) { return knot_in(c, place_of(c, i)); }
 
 /* Vectors of knot i: knot_positions, knot_slope or knot_curvature. */
 static double *vector_of(const Core *c, double *vectors, int i) {
@@ -31,18 +29,15 @@ static double *edges_of(const Core *c, int i) { return vector_of(c, c->knot_edge
 static void copy_knot(Core *c, int from, int to) {
     const size_t bytes = sizeof(double) * (size_t)c->joints;
     if (from == to) return;
-    memcpy(knot(c, to), knot(c, from), sizeof(double) * N_KNOT);
+    *knot(c, to) = *knot(c, from);
     memcpy(vector_of(c, c->knot_positions, to), vector_of(c, c->knot_positions, from), bytes);
     memcpy(vector_of(c, c->knot_slope, to), vector_of(c, c->knot_slope, from), bytes);
     memcpy(vector_of(c, c->knot_curvature, to), vector_of(c, c->knot_curvature, from), bytes);
     memcpy(edges_of(c, to), edges_of(c, from), bytes);
 }
 
-/* K_KIND, K_ARM, K_JOINT of a knot, or CAP_KIND, CAP_ARM, CAP_JOINT. */
-static void name_cause(double *cause, int kind, int arm, int joint) {
-    cause[0] = kind;
-    cause[1] = arm;
-    cause[2] = joint;
+static void name_cause(Cause &cause, int kind, int arm, int joint) {
+    cause = Cause{(double)kind, (double)arm, (double)joint};
 }
 
 static int arm_of(const Core *c, int joint) {
@@ -59,7 +54,7 @@ static double largest_size(const double *x, int n) {
 
 /* -- sharing.cpp ---------------------------------------------------------------------------------------- */
 
-/* Largest z ≤ cap that some |u| ≤ SLOPE_CAP allows at knot i alone. */
+/* Largest z ≤ cap that some |u| ≤ slope_cap allows at knot i alone. */
 static double largest_alone(const Core *c, int i);
 /* Largest z at knot i from which z at the next knot can be in [0, K there], and its slope over K there; the joint
  * whose acceleration makes it, or helps to, or −1. */

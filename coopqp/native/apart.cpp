@@ -21,8 +21,8 @@ static void without_mismatch(Core *c, double *away) {
     for (int i = 0; i < count; i++) along += away[i] * c->mismatch[i], square += c->mismatch[i] * c->mismatch[i];
     const double left = square > 0.0 ? clamp(along / square, 0.0, 1.0) : 0.0;
     for (int i = 0; i < count; i++) away[i] -= left * c->mismatch[i];
-    c->proposal[MISMATCH_LEFT] = left;
-    c->proposal[MISMATCHED] = left * left * square > NO_MISMATCH * NO_MISMATCH;
+    c->proposal->mismatch_left = left;
+    c->proposal->mismatched = left * left * square > NO_MISMATCH * NO_MISMATCH;
 }
 
 /* The arm whose view of the object is furthest from another's. */
@@ -38,18 +38,19 @@ static int furthest_from(const Core *c, const double *away, int arm) {
     return other;
 }
 
-/* After the errors: APART, and a hold where it is too large. */
+/* After the errors: `apart`, and a hold where it is too large. */
 static void watch_chain(Core *c) {
-    double *p = c->proposal, *away = c->scratch, most = 0.0;
+    Proposal *p = c->proposal;
+    double *away = c->scratch, most = 0.0;
     const int n = c->arms;
     int arm = 0;
     if (n < 2) return;
     among_arms(c, c->errors, away);
-    if (c->loop[STARTED] == 0.0) { /* whatever there is now is a mismatch of the start */
+    if (c->loop->started == 0.0) { /* whatever there is now is a mismatch of the start */
         memcpy(c->mismatch, away, 6 * sizeof(double) * (size_t)n);
-        c->loop[MISMATCH] = 1.0;
+        c->loop->mismatch = 1.0;
     }
-    if (c->loop[MISMATCH] != 0.0) without_mismatch(c, away);
+    if (c->loop->mismatch != 0.0) without_mismatch(c, away);
     for (int k = 0; k < n; k++) { /* lengths at the grasps: displacement of their centre, and the turn about it */
         double *x = away + 6 * k;
         const double *L = c->at_grasps + 18;
@@ -58,32 +59,32 @@ static void watch_chain(Core *c) {
         const double distance = length6(x);
         if (!(distance <= most * ALIKE)) most = distance, arm = k;
     }
-    p[APART] = most * n / (n - 1.0);
-    const double limit = c->options[APART_HOLD] * (c->loop[CHAIN_HELD] != 0.0 ? TOGETHER_AGAIN : 1.0);
-    p[CHAIN_HOLDS] = !(p[APART] <= limit);
-    if (p[APART] <= SAID_APART || (p[REASON] != NO_REASON && !(p[WATCH_CAP] > 0.0 && p[CHAIN_HOLDS] != 0.0))) return;
+    p->apart = most * n / (n - 1.0);
+    const double limit = c->options->apart_hold * (c->loop->chain_held != 0.0 ? TOGETHER_AGAIN : 1.0);
+    p->chain_holds = !(p->apart <= limit);
+    if (p->apart <= SAID_APART || (p->reason != NO_REASON && !(p->watch_cap > 0.0 && p->chain_holds != 0.0))) return;
     const int other = furthest_from(c, away, arm), first = arm < other ? arm : other;
-    if (p[CHAIN_HOLDS] != 0.0)
-        refuse(c, CHAIN_PARTED, first, p[APART]);
+    if (p->chain_holds != 0.0)
+        refuse(c, CHAIN_PARTED, first, p->apart);
     else
-        p[REASON] = CHAIN_APART, p[REASON_ARM] = first, p[REASON_A] = p[APART];
-    p[REASON_B] = arm + other - first;
+        p->reason = CHAIN_APART, p->reason_arm = first, p->reason_a = p->apart;
+    p->reason_b = arm + other - first;
 }
 
 /* Once a step is made. */
 static void chain_watched(Core *c) {
-    const double *p = c->proposal;
-    if (p[HAS_ERRORS] == 0.0) return;
-    c->loop[STARTED] = 1.0, c->loop[CHAIN_HELD] = p[CHAIN_HOLDS];
-    const int known = p[MADE] != 0.0 && p[PARTING] == 0.0 && p[BRAKED] == 0.0;
-    const int left = c->loop[MISMATCH] != 0.0 && p[MISMATCHED] != 0.0;
+    const Proposal *p = c->proposal;
+    if (p->has_errors == 0.0) return;
+    c->loop->started = 1.0, c->loop->chain_held = p->chain_holds;
+    const int known = p->made != 0.0 && p->parting == 0.0 && p->braked == 0.0;
+    const int left = c->loop->mismatch != 0.0 && p->mismatched != 0.0;
     const double *asked = known ? asked_to_shift(c) : nullptr;
-    const double closes = known ? p[GRASP_SHARE] * p[CLOSES] : 0.0;
+    const double closes = known ? p->grasp_share * p->closes : 0.0;
     for (int i = 0; (left || asked) && i < 6 * c->arms; i++) {
-        const double still = left ? p[MISMATCH_LEFT] * c->mismatch[i] : 0.0;
+        const double still = left ? p->mismatch_left * c->mismatch[i] : 0.0;
         c->mismatch[i] = (1.0 - closes) * (asked ? still + asked[i] : still);
     }
-    c->loop[MISMATCH] = left || asked, c->loop[SHIFT_ASKED] = 0.0;
+    c->loop->mismatch = left || asked, c->loop->shift_asked = 0.0;
 }
 
 /* The grasps give way by other shifts: that parts the views of the object for a while, as it was asked for. */
@@ -93,12 +94,12 @@ static void expect_shift(Core *c, const double *shift) {
     for (int i = 0; i < 6 * c->arms; i++) {
         change[i] = c->grasp_shift[i] - shift[i];
         c->grasp_shift[i] = shift[i];
-        if (c->loop[MISMATCH] == 0.0) c->mismatch[i] = 0.0;
+        if (c->loop->mismatch == 0.0) c->mismatch[i] = 0.0;
     }
     among_arms(c, change, change);
     for (int i = 0; i < 6 * c->arms; i++) {
         c->mismatch[i] += change[i];
-        c->asked_shift[i] = (c->loop[SHIFT_ASKED] != 0.0 ? c->asked_shift[i] : 0.0) - change[i];
+        c->asked_shift[i] = (c->loop->shift_asked != 0.0 ? c->asked_shift[i] : 0.0) - change[i];
     }
-    c->loop[MISMATCH] = c->loop[SHIFT_ASKED] = 1.0;
+    c->loop->mismatch = c->loop->shift_asked = 1.0;
 }

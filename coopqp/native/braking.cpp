@@ -141,7 +141,7 @@ static void name_brake(const Core *c, int number, double *entry) {
 /* Add the rows that may bind the next velocities. */
 static void brake_together(Core *c) {
     static const double still[6] = {};
-    const double h = c->proposal[DT], *v = c->velocity;
+    const double h = c->proposal->dt, *v = c->velocity;
     double T = h, *bends = c->scratch, *needed = bends + 6 * c->arms, *nothing = needed + c->joints, size = 0.0;
     int worst = 0;
     for (int j = 0; j < c->joints; j++) T = fmax(T, fabs(v[j]) / c->plan_acceleration[j]);

@@ -29,23 +29,23 @@ static double bound(const Core *c, double *twists, int n) {
         angular = fmax(angular, dot3(twists + 6 * k + 3, twists + 6 * k + 3));
     }
     const double excess =
-        fmax(sqrt(linear) / c->options[CORRECTION_SPEED], sqrt(angular) / c->options[CORRECTION_SPIN]);
+        fmax(sqrt(linear) / c->options->correction_speed, sqrt(angular) / c->options->correction_spin);
     for (int i = 0; excess > 1.0 && i < 6 * n; i++) twists[i] /= excess;
     return maximum(excess, 1.0);
 }
 
 /* What the grasps were asked to shift since the step before, of which the errors foreseen did not know; or nullptr. */
 static const double *asked_to_shift(const Core *c) {
-    return c->loop[HAS_PREDICTED] != 0.0 && c->loop[SHIFT_ASKED] != 0.0 ? c->asked_shift : nullptr;
+    return c->loop->has_predicted != 0.0 && c->loop->shift_asked != 0.0 ? c->asked_shift : nullptr;
 }
 
 /* c_k, c_p, and b_k: the error of the last linearisation; beyond what that step foresaw it is left over. Gains take away
  * no more than the whole error in a step. What was asked of the grasps is no error: it is made up for in this step. */
 static void corrections(Core *c, double h) {
-    const double grasp_gain = fmin(c->options[GRASP_GAIN], 1.0 / h), path_gain = fmin(c->options[PATH_GAIN], 1.0 / h);
-    const double *seen = c->proposal[HAS_MEASURED] != 0.0 ? c->measured : c->common;
+    const double grasp_gain = fmin(c->options->grasp_gain, 1.0 / h), path_gain = fmin(c->options->path_gain, 1.0 / h);
+    const double *seen = c->proposal->has_measured != 0.0 ? c->measured : c->common;
     const double *asked = asked_to_shift(c);
-    const int predicted = c->loop[HAS_PREDICTED] != 0.0;
+    const int predicted = c->loop->has_predicted != 0.0;
     double common_shift[6];
     common_error(c, c->errors, c->common);
     if (asked) common_error(c, asked, common_shift);
@@ -58,12 +58,12 @@ static void corrections(Core *c, double h) {
                 c->grasp[6 * k + i] -= grasp_gain * (asked[6 * k + i] - common_shift[i]);
             }
             const double shift = asked ? asked[6 * k + i] / h : 0.0;
-            c->foresees[6 * k + i] = predicted ? (c->predicted[6 * k + i] - e) / c->loop[LAST_DT] : 0.0;
+            c->foresees[6 * k + i] = predicted ? (c->predicted[6 * k + i] - e) / c->loop->last_dt : 0.0;
             c->offsets[6 * k + i] = c->foresees[6 * k + i] + shift;
             c->left_over[6 * k + i] = predicted ? c->offsets[6 * k + i] - c->foreseen[6 * k + i] : 0.0;
         }
     for (int i = 0; i < 6; i++) c->path[i] = -path_gain * seen[i];
-    c->proposal[CLOSES] = h * grasp_gain / bound(c, c->grasp, c->arms);
+    c->proposal->closes = h * grasp_gain / bound(c, c->grasp, c->arms);
     bound(c, c->path, 1);
 }
 
@@ -267,22 +267,23 @@ static double wrapped(const Core *c, int j, double angle) {
 }
 
 static void posture_velocity(Core *c, const double *positions, double *v) {
-    const double *o = c->options, step = 1e-5;
+    const Options *o = c->options;
+    const double step = 1e-5;
     double excess = 1.0;
     for (int k = 0; k < c->arms; k++) {
         const int start = (int)c->arm_start[k], end = start + (int)c->arm_size[k];
         for (int j = start; j < end; j++) {
             v[j] = 0.0;
             if (end - start <= 6) continue;
-            v[j] = o[POSTURE_GAIN] * wrapped(c, j, c->posture_target[j] - positions[j]);
-            if (c->posture_bounded[j] != 0.0) v[j] += o[CENTRING] * (c->posture_middle[j] - positions[j]);
-            if (o[MANIPULABILITY] > 0.0) {
+            v[j] = o->posture_gain * wrapped(c, j, c->posture_target[j] - positions[j]);
+            if (c->posture_bounded[j] != 0.0) v[j] += o->centring * (c->posture_middle[j] - positions[j]);
+            if (o->manipulability > 0.0) {
                 double *moved = c->posture_work, *jacobian = moved + c->joints;
                 memcpy(moved, positions, sizeof(double) * (size_t)c->joints);
                 moved[j] += step;
                 double up = manipulability(c, k, moved, jacobian);
                 moved[j] = positions[j] - step;
-                v[j] += o[MANIPULABILITY] * (up - manipulability(c, k, moved, jacobian)) / (2.0 * step);
+                v[j] += o->manipulability * (up - manipulability(c, k, moved, jacobian)) / (2.0 * step);
             }
             excess = fmax(excess, fabs(v[j]) / c->posture_cap[j]);
         }

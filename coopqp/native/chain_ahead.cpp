@@ -25,7 +25,7 @@ static void twists_back(const Core *c, const double *R, const double *errors, do
 /* Self-motion by which redundant arms keep clear of bodies; 0 if a constraint fails. */
 static int evade(Core *c, const double *positions, double *slope) {
     const size_t size = sizeof(double) * (size_t)c->joints;
-    if (!c->evade || (c->options[CERTIFIED] != 0.0 && quiet_ahead(c, positions))) return 1;
+    if (!c->evade || (c->options->certified != 0.0 && quiet_ahead(c, positions))) return 1;
     memcpy(c->evading_positions, positions, size);
     memcpy(c->evading_slope, slope, size);
     if (!c->evade(c)) return 0;
@@ -41,7 +41,7 @@ typedef struct {
 
 static ElbowPiece elbow_piece(const Core *c, double clock) {
     const double *numbers = c->path_numbers, *t = numbers + 3 + (int)numbers[1] + SEGMENT * (int)numbers[2];
-    const int knots = (int)c->options[ELBOWS], nv = c->joints;
+    const int knots = (int)c->options->elbows, nv = c->joints;
     int i = 0;
     for (int n = knots - 1; n > 1;) { /* the last knot not after the clock, but the end of no piece */
         const int half = n / 2;
@@ -61,7 +61,7 @@ static double elbow(const Core *c, ElbowPiece at, int j, double *speed) {
 }
 
 /* Whether the elbows go where they are led to, and not away from bodies. */
-static int led(const Core *c) { return c->redundant && c->options[ELBOWS] > 0.0 && !c->evade; }
+static int led(const Core *c) { return c->redundant && c->options->elbows > 0.0 && !c->evade; }
 
 /* Velocities wished for in the null-space at a clock: along the motion of the elbows half a span later. */
 static void elbow_velocity(const Core *c, double clock, double span, const double *positions, double *v) {
@@ -76,9 +76,10 @@ static void elbow_velocity(const Core *c, double clock, double span, const doubl
 
 /* Where the joints are expected a span after knot `last`: along its slope, or with the elbows that lead them. */
 static void expect(const Core *c, int last, double span, double *x) {
-    const double *from = knot(c, last), *x0 = vector_of(c, c->knot_positions, last);
+    const Knot *from = knot(c, last);
+    const double *x0 = vector_of(c, c->knot_positions, last);
     if (led(c)) {
-        const ElbowPiece then = elbow_piece(c, from[K_CLOCK]), now = elbow_piece(c, from[K_CLOCK] + span);
+        const ElbowPiece then = elbow_piece(c, from->clock), now = elbow_piece(c, from->clock + span);
         const double pull = minimum(ELBOW_GAIN * span, 1.0);
         for (int j = 0; j < c->joints; j++) {
             double speed;
@@ -88,7 +89,7 @@ static void expect(const Core *c, int last, double span, double *x) {
         return;
     }
     const double *slope = vector_of(c, c->knot_slope, last), *curvature = vector_of(c, c->knot_curvature, last);
-    const double bends = from[K_CORNER] == 0.0 ? 0.5 * span : 0.0;
+    const double bends = from->corner == 0.0 ? 0.5 * span : 0.0;
     for (int j = 0; j < c->joints; j++) x[j] = x0[j] + (curvature[j] * bends + slope[j]) * span;
 }
 
@@ -103,11 +104,11 @@ static Trial newton_step(Core *c, double clock, double before, const double *pos
     twists_back(c, R, s.errors, s.w);
     rotate(R, twist, along);
     rotate(R, twist + 3, along + 3);
-    if (c->redundant && c->options[ELBOWS] > 0.0) elbow_velocity(c, clock, 0.0, positions, s.wish);
+    if (c->redundant && c->options->elbows > 0.0) elbow_velocity(c, clock, 0.0, positions, s.wish);
     else if (c->redundant) posture_velocity(c, positions, s.wish);
     if (!two_velocities(c, s.jacobian, s.w, along, nullptr, c->redundant ? s.wish : nullptr, step, slope)) return REJECTED;
     if (c->redundant && !evade(c, positions, slope)) return CANNOT_SAY;
-    for (int k = 0; c->redundant && !(c->options[ELBOWS] > 0.0) && k < c->arms; k++)
+    for (int k = 0; c->redundant && !(c->options->elbows > 0.0) && k < c->arms; k++)
         if (c->arm_size[k] > 6.0) lead_away(c, k, s.jacobian, positions, slope);
     for (int j = 0; j < c->joints; j++) size += step[j] * step[j] + slope[j] * slope[j];
     return size < INFINITY ? FOUND : REJECTED;
@@ -174,7 +175,7 @@ static void find_edges(const Core *c, int i) {
     double *edges = edges_of(c, i);
     for (int k = 0; k < c->arms; k++) {
         const int start = (int)c->arm_start[k], end = start + (int)c->arm_size[k];
-        const int far = c->least_pivot[k] > FAR_PIVOT && c->options[ROOM] <= FAR_ROOM;
+        const int far = c->least_pivot[k] > FAR_PIVOT && c->options->room <= FAR_ROOM;
         if (!far) find_edge(c, k, sketch_of(c).jacobian, edges);
         for (int j = start; far && j < end; j++) edges[j] = FAR_EDGE;
     }
@@ -201,7 +202,7 @@ static int stretched_arm(const Core *c, int i) {
 
 /* Whether an arm comes too close to where its reach ends, or is past it. */
 static int ends_reach(const Core *c, int last, int made) {
-    const double *then = edges_of(c, last), *now = edges_of(c, made), near = BRANCH_WAY * c->options[JOINT_STEP];
+    const double *then = edges_of(c, last), *now = edges_of(c, made), near = BRANCH_WAY * c->options->joint_step;
     for (int k = 0; k < c->arms; k++) {
         const int start = (int)c->arm_start[k], n = (int)c->arm_size[k];
         const double room = room_of(c, k, now);
@@ -215,9 +216,11 @@ static int ends_reach(const Core *c, int last, int made) {
 
 /* Bounds of knot i from its positions and slope, and the slope of the knot before (−1 for none); 0 if they overflow. */
 static int bound_by_limits(Core *c, int before, int i, double clock, double span) {
-    const double *slope = vector_of(c, c->knot_slope, i), *x = vector_of(c, c->knot_positions, i), *o = c->options;
+    const Options *o = c->options;
+    const double *slope = vector_of(c, c->knot_slope, i), *x = vector_of(c, c->knot_positions, i);
     const double *then = before < 0 ? slope : vector_of(c, c->knot_slope, before);
-    double *k = knot(c, i), *curvature = vector_of(c, c->knot_curvature, i);
+    Knot *k = knot(c, i);
+    double *curvature = vector_of(c, c->knot_curvature, i);
     double fastest = 0.0, change = -INFINITY, by_speed = 0.0, by_bend = 0.0;
     int j_speed = 0, j_bend = 0, inside = 1;
     for (int j = 0; j < c->joints; j++) {
@@ -225,7 +228,7 @@ static int bound_by_limits(Core *c, int before, int i, double clock, double span
         const double bend = fabs(curvature[j]), speed = fabs(slope[j]);
         /* Use of the joint's limits at full rate: z is at most 1 over the speed's square, and 1 over the curvature's. */
         const double use_speed = speed * (1.0 / c->plan_speed[j]);
-        const double use_bend = bend * (1.0 / (o[CURVATURE_SHARE] * c->plan_acceleration[j]));
+        const double use_bend = bend * (1.0 / (o->curvature_share * c->plan_acceleration[j]));
         fastest = maximum(fastest, fabs(slope[j]));
         change = maximum(change, bend * span - c->slope_change[j]);
         if (use_speed > by_speed) by_speed = use_speed, j_speed = j;
@@ -233,42 +236,42 @@ static int bound_by_limits(Core *c, int before, int i, double clock, double span
         inside &= x[j] <= c->high[j] && x[j] >= c->low[j];
     }
     /* Without acceleration limits the step itself finds the cap by speed; below the cap by curvature it changes slowly. */
-    const int capped = o[CAPS_SPEED] != 0.0;
+    const int capped = o->caps_speed != 0.0;
     const double square = by_speed * by_speed, cap = 1.0 / maximum(capped ? square : by_bend, 1.0);
-    memset(k, 0, sizeof(double) * N_KNOT);
-    k[K_CLOCK] = clock;
-    k[K_SPAN] = before < 0 ? 0.0 : span;
-    k[K_CAP] = cap;
-    k[K_UNCAPPED] = 1.0 / maximum(maximum(square, by_bend), 1.0);
-    k[K_FASTEST] = fastest;
-    k[K_CHANGE] = change;
-    k[K_INSIDE] = inside;
-    k[K_FALL] = k[K_RISE] = k[K_SINCE] = INFINITY;
-    name_cause(k + K_KIND, NONE, -1, -1);
-    name_cause(k + K_CAUSE_KIND, NONE, -1, -1);
+    *k = Knot{};
+    k->clock = clock;
+    k->span = before < 0 ? 0.0 : span;
+    k->cap = cap;
+    k->uncapped = 1.0 / maximum(maximum(square, by_bend), 1.0);
+    k->fastest = fastest;
+    k->change = change;
+    k->inside = inside;
+    k->fall = k->rise = k->since = INFINITY;
+    name_cause(k->limit, NONE, -1, -1);
+    name_cause(k->cause, NONE, -1, -1);
     const int j = capped ? j_speed : j_bend;
-    if (cap < 1.0) name_cause(k + K_KIND, capped ? VELOCITY : ACCELERATION, arm_of(c, j), j);
+    if (cap < 1.0) name_cause(k->limit, capped ? VELOCITY : ACCELERATION, arm_of(c, j), j);
     return cap > 0.0;
 }
 
 /* Put a knot under the further constraints; rejected if one allows no rate there: its number and the clock are kept. */
 static Trial constrain(Core *c, int made) {
-    double *k = knot(c, made);
+    Knot *k = knot(c, made);
     if (!c->bound_knot) return FOUND;
     const double *x = vector_of(c, c->knot_positions, made), *slope = vector_of(c, c->knot_slope, made);
-    if (c->options[CERTIFIED] != 0.0 && quiet_knot(c, x, slope, vector_of(c, c->knot_curvature, made), k[K_SPAN]))
+    if (c->options->certified != 0.0 && quiet_knot(c, x, slope, vector_of(c, c->knot_curvature, made), k->span))
         return FOUND;
     if (c->bound_knot(c, place_of(c, made))) return FOUND;
-    if (isnan(k[K_CAP])) return CANNOT_SAY;
-    c->ahead[BEYOND] = 1.0 + k[K_JOINT];
-    c->ahead[BEYOND_AT] = k[K_CLOCK];
+    if (isnan(k->cap)) return CANNOT_SAY;
+    c->ahead->beyond = 1.0 + k->limit.joint;
+    c->ahead->beyond_at = k->clock;
     return REJECTED;
 }
 
 /* Whether q″ has changed by a small share of the accelerations between the intervals before two knots. */
 static int bends_slowly(const Core *c, int last, int made) {
-    const double *k = knot(c, last);
-    if (k[K_SPAN] == 0.0 || k[K_CORNER] != 0.0) return 1;
+    const Knot *k = knot(c, last);
+    if (k->span == 0.0 || k->corner != 0.0) return 1;
     const double *bend = vector_of(c, c->knot_curvature, made), *before = vector_of(c, c->knot_curvature, last);
     double change = 0.0;
     for (int j = 0; j < c->joints; j++) change = maximum(change, fabs(bend[j] - before[j]) / c->plan_acceleration[j]);
@@ -276,20 +279,22 @@ static int bends_slowly(const Core *c, int last, int made) {
 }
 
 static Trial try_knot(Core *c, int last, int made, double span, int iteration) {
-    const double *from = knot(c, last), *o = c->options, clock = from[K_CLOCK] + span;
+    const Knot *from = knot(c, last);
+    const Options *o = c->options;
+    const double clock = from->clock + span;
     double *x = vector_of(c, c->knot_positions, made), *step = sketch_of(c).step;
     if (iteration == 0) expect(c, last, span, x);
     const Trial found = newton_step(c, clock, JUST_BEFORE, x, step, vector_of(c, c->knot_slope, made));
     if (found != FOUND) return found;
     const double largest = largest_size(step, c->joints);
-    if (!(largest < o[JOINT_STEP])) return REJECTED;
+    if (!(largest < o->joint_step)) return REJECTED;
     for (int j = 0; j < c->joints; j++) x[j] += step[j];
     if (!(largest < CONVERGED)) return iteration + 1 < MOST_TRIES ? PENDING : REJECTED;
     if (!bound_by_limits(c, last, made, clock, span)) return REJECTED;
-    const double *k = knot(c, made);
-    if (span > o[SHORTEST] && !(span * k[K_FASTEST] <= 1.5 * o[JOINT_STEP])) return REJECTED;
-    const double most = span > FINE_CELL ? o[SLOPE_STEP] : OTHER_BRANCH;
-    if (span > o[SHORTEST] && !(k[K_CHANGE] <= most * k[K_FASTEST])) return REJECTED;
+    const Knot *k = knot(c, made);
+    if (span > o->shortest && !(span * k->fastest <= 1.5 * o->joint_step)) return REJECTED;
+    const double most = span > FINE_CELL ? o->slope_step : OTHER_BRANCH;
+    if (span > o->shortest && !(k->change <= most * k->fastest)) return REJECTED;
     if (span > FINE_CELL && !bends_slowly(c, last, made)) return REJECTED;
     find_edges(c, made);
     if (ends_reach(c, last, made)) return REJECTED;
@@ -312,8 +317,9 @@ static double jump_cap(const Core *c, const double *after, const double *before,
 /* Where the twist jumps at knot i: slopes after it, and the rate at which the joints can take the jump. */
 static int turn_corner(Core *c, int i) {
     const Sketch s = sketch_of(c);
-    double *k = knot(c, i), *slope = vector_of(c, c->knot_slope, i);
-    const double clock = k[K_CLOCK] + 1e-9, *x = vector_of(c, c->knot_positions, i);
+    Knot *k = knot(c, i);
+    double *slope = vector_of(c, c->knot_slope, i);
+    const double clock = k->clock + 1e-9, *x = vector_of(c, c->knot_positions, i);
     const Trial found = newton_step(c, clock, JUST_BEFORE, x, s.step, s.after);
     if (found == CANNOT_SAY) return 0;
     if (found != FOUND) memset(s.after, 0, sizeof(double) * (size_t)c->joints);
@@ -324,33 +330,33 @@ static int turn_corner(Core *c, int i) {
             const double use = fabs(s.after[j]) * (1.0 / c->plan_speed[j]);
             if (use > fastest) fastest = use, joint = j;
         }
-        if (1.0 / maximum(fastest * fastest, 1.0) < k[K_CAP]) {
-            k[K_CAP] = 1.0 / maximum(fastest * fastest, 1.0);
-            name_cause(k + K_KIND, VELOCITY, arm_of(c, joint), joint);
+        if (1.0 / maximum(fastest * fastest, 1.0) < k->cap) {
+            k->cap = 1.0 / maximum(fastest * fastest, 1.0);
+            name_cause(k->limit, VELOCITY, arm_of(c, joint), joint);
         }
         const double cap = jump_cap(c, s.after, slope, &joint);
-        if (cap < k[K_CAP]) {
-            k[K_CAP] = cap;
-            name_cause(k + K_KIND, ACCELERATION, arm_of(c, joint), joint);
+        if (cap < k->cap) {
+            k->cap = cap;
+            name_cause(k->limit, ACCELERATION, arm_of(c, joint), joint);
         }
     }
     memcpy(slope, s.after, sizeof(double) * (size_t)c->joints);
-    k[K_CORNER] = 1.0;
-    k[K_FASTEST] = largest_size(slope, c->joints);
+    k->corner = 1.0;
+    k->fastest = largest_size(slope, c->joints);
     return 1;
 }
 
 /* Where the path ends moving the joints have one step to stop in. */
 static int end_moving(Core *c) {
-    const int last = count_ahead(c, COUNT) - 1;
+    const int last = (int)c->ahead->count - 1;
     int joint;
     if (!c->accelerates) return 0;
     const double cap = jump_cap(c, nullptr, vector_of(c, c->knot_slope, last), &joint);
-    if (!(cap < knot(c, last)[K_CAP])) return 0;
+    if (!(cap < knot(c, last)->cap)) return 0;
     copy_knot(c, last, last + 1);
-    knot(c, last + 1)[K_CAP] = cap;
-    knot(c, last + 1)[K_SPAN] = 0.0;
-    name_cause(knot(c, last + 1) + K_KIND, PATH_END, -1, -1);
+    knot(c, last + 1)->cap = cap;
+    knot(c, last + 1)->span = 0.0;
+    name_cause(knot(c, last + 1)->limit, PATH_END, -1, -1);
     return 1;
 }
 
@@ -397,7 +403,7 @@ static int first_knot(Core *c, double clock) {
     find_edges(c, 0);
     bound_by_limits(c, -1, 0, clock, 1.0);
     if (arm < 0) return 1;
-    knot(c, 0)[K_CAP] = 0.0;
-    name_cause(knot(c, 0) + K_KIND, REACH, arm, -1);
+    knot(c, 0)->cap = 0.0;
+    name_cause(knot(c, 0)->limit, REACH, arm, -1);
     return 1;
 }

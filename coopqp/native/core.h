@@ -32,7 +32,11 @@
 #define TWIST_AND_SHARES 9
 
 struct Core {
-    FIELDS
+#define MEMBER(type, name) type *name;
+    CONFIG_FIELDS(MEMBER)
+    STATE_FIELDS(MEMBER)
+    WORK_FIELDS(MEMBER)
+#undef MEMBER
     int arms, joints, nq, unknowns, rows, past; /* rows: further rows that fit; past: samples in `history` */
     int redundant, accelerates, looks_ahead;
     int users_path; /* the path is no one of the library: it may jump or bend where no breakpoint tells */
@@ -52,6 +56,9 @@ struct Core {
     /* Does a piece of what bodies ahead ask for; nullptr for none. 0 if there is nothing to do. */
     int (*survey_ahead)(Core *c);
 };
+
+/* The vectors of a record. */
+static inline double *vectors_of(Record *record) { return reinterpret_cast<double *>(record + 1); }
 
 /* The core's functions, once for any processor and once for a newer one; see step.cpp and kinematics.cpp. */
 struct Arithmetic {

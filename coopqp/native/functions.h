@@ -24,13 +24,13 @@ static int path_twist(Core *c, double clock, double *twist);
 static int path_increment(Core *c, double clock, double span, const double *R, const double *p, double *twist);
 /* Whether the path is a user's, which Python knows. */
 static int own_path(const Core *c);
-/* Whether the pose of a user's path, or its twist, may jump between two clocks; SEEK_FROM and SEEK_TO close in on it by
+/* Whether the pose of a user's path, or its twist, may jump between two clocks; seek_from and seek_to close in on it by
  * halves. 0 if it does not, or the path fails. */
 static int begin_seeking(Core *c, int pose, double from, double to);
 static int seeks_on(const Core *c, int pose);
 /* Keep the half in which more happens; 0 if the path fails. */
 static int go_on_seeking(Core *c, int pose);
-/* By how much it jumps before SEEK_TO; 0 if it does not. */
+/* By how much it jumps before seek_to; 0 if it does not. */
 static double found_by_seeking(const Core *c, int pose);
 /* First clock after this one at which the twist jumps; the end of the path at the latest. */
 static double next_breakpoint(const Core *c, double clock);
@@ -48,7 +48,7 @@ static int two_velocities(const Core *c, const double *jacobian, const double *w
 
 /* -- watch.cpp ----------------------------------------------------------------------------------------- */
 
-/* Compare a sample with the command; lowers WATCH_CAP and sets HOLD, FAULTS, REASON… of the proposal.
+/* Compare a sample with the command; lowers watch_cap and sets hold, faults and the reason of the proposal.
  * `positions` are measured, near the commanded ones; `q` is the configuration as measured; `away` (6 arms) is log of the
  * object as measured from as commanded, per arm. */
 static void watch_sample(Core *c, const double *positions, const double *q, const double *away, double dt);
@@ -56,7 +56,7 @@ static void watch_reset(Core *c);
 
 /* -- apart.cpp ----------------------------------------------------------------------------------------- */
 
-/* How far the commands lead the arms apart: APART, and a hold where it is too large. After the errors. */
+/* How far the commands lead the arms apart, and a hold where it is too large. After the errors. */
 static void watch_chain(Core *c);
 /* Once a step is made. */
 static void chain_watched(Core *c);
@@ -79,7 +79,7 @@ static int quiet_knot(Core *c, const double *x, const double *slope, const doubl
 static void preview_reset(Core *c, double clock, int later);
 /* The same behind `kept` knots, which stay in the ring: a copy of AHEAD goes on with them. */
 static void preview_try(Core *c, double clock, int kept, int later);
-/* Largest admissible rate at `clock` for a step of dt. CAP_KIND, CAP_ARM, CAP_JOINT of the proposal say what makes it. */
+/* Largest admissible rate at `clock` for a step of dt. The cause of the proposal says what makes it. */
 static double preview_cap(Core *c, double clock, double dt);
 /* Largest rise of the rate near `clock` by further constraints [1/s]. */
 static double preview_rise(const Core *c, double clock, int *joint);

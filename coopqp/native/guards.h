@@ -19,14 +19,14 @@
 
 struct Guards {
     const Arithmetic *can;
-    double *end[CONFIG_FIELDS + STATE_FIELDS + WORK_FIELDS];
+    double *end[FIELDS_IN_ALL];
 };
 
 static Guards *guards_of(const Core *c);
 
 static void guard(const Core *c, int closed) {
     const Guards *guards = guards_of(c);
-    for (int i = 0; i < CONFIG_FIELDS + STATE_FIELDS + WORK_FIELDS; i++) {
+    for (int i = 0; i < FIELDS_IN_ALL; i++) {
         if (closed) ASAN_POISON_MEMORY_REGION(guards->end[i], GAP * sizeof(double));
         else ASAN_UNPOISON_MEMORY_REGION(guards->end[i], GAP * sizeof(double));
     }

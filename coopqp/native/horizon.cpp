@@ -3,97 +3,98 @@
 #include "ahead.h"
 
 /* K at knot i from K at the next one, and its cause; 1 if that is K ahead. K only rises from one pass to the next,
- * and follows K ahead along a line from K_SINCE, where it was K_FOUND, to K_UNTIL. */
+ * and follows K ahead along a line from since, where it was found, to until. */
 static int share_at(Core *c, int i) {
-    double *here = knot(c, i);
-    const double *ahead = knot(c, i + 1), then = ahead[K_SQUARE];
+    Knot *here = knot(c, i);
+    const Knot *ahead = knot(c, i + 1);
+    const double then = ahead->square;
     int joint = -1;
-    if (here[K_SINCE] <= then && then <= here[K_UNTIL] && then < 1.0) {
-        here[K_SQUARE] = here[K_FOUND] + here[K_GAIN] * (then - here[K_SINCE]);
+    if (here->since <= then && then <= here->until && then < 1.0) {
+        here->square = here->found + here->gain * (then - here->since);
     } else {
-        if (ahead[K_SPAN] == 0.0) { /* the same knot again, with a lower cap */
-            here[K_SQUARE] = then;
-            here[K_GAIN] = 1.0;
-            here[K_UNTIL] = INFINITY;
+        if (ahead->span == 0.0) { /* the same knot again, with a lower cap */
+            here->square = then;
+            here->gain = 1.0;
+            here->until = INFINITY;
         } else {
             joint = find_share(c, i);
         }
-        here[K_FOUND] = here[K_SQUARE];
-        here[K_SINCE] = then;
+        here->found = here->square;
+        here->since = then;
     }
-    const int by_ahead = here[K_GAIN] > 0.0;
+    const int by_ahead = here->gain > 0.0;
     if (by_ahead && (then < 1.0 || joint < 0))
-        memcpy(here + K_CAUSE_KIND, ahead + K_CAUSE_KIND, 4 * sizeof(double));
+        here->cause = ahead->cause, here->stops = ahead->stops;
     else if (joint >= 0)
-        name_cause(here + K_CAUSE_KIND, ACCELERATION, arm_of(c, joint), joint), here[K_STOPS] = 0.0;
+        name_cause(here->cause, ACCELERATION, arm_of(c, joint), joint), here->stops = 0.0;
     else
-        memcpy(here + K_CAUSE_KIND, here + K_KIND, 3 * sizeof(double)), here[K_STOPS] = here[K_CAP] == 0.0;
+        here->cause = here->limit, here->stops = here->cap == 0.0;
     return by_ahead;
 }
 
 /* Find K from the last knot back to the first one whose K is known for good. Where more knots may come the object rests
  * at the last knot but one: q″ is not known at the last. */
 static void look_back(Core *c) {
-    const int count = count_ahead(c, COUNT), complete = c->ahead[COMPLETE] != 0.0, end = count - (complete ? 1 : 2);
+    const int count = (int)c->ahead->count, complete = c->ahead->complete != 0.0, end = count - (complete ? 1 : 2);
     int settled = complete ? count : 0;
-    c->ahead[FRESH] = 0.0;
+    c->ahead->fresh = 0.0;
     if (end < 0) return;
     if (complete) {
-        double *last = knot(c, end);
-        last[K_SQUARE] = last[K_CAP];
-        memcpy(last + K_CAUSE_KIND, last + K_KIND, 3 * sizeof(double));
-        last[K_STOPS] = last[K_CAP] == 0.0;
+        Knot *last = knot(c, end);
+        last->square = last->cap;
+        last->cause = last->limit;
+        last->stops = last->cap == 0.0;
     }
-    for (int i = end - 1; i >= count_ahead(c, KNOWN); i--)
+    for (int i = end - 1; i >= (int)c->ahead->known; i--)
         if (!share_at(c, i) && !settled) settled = i + 1;
-    c->ahead[KNOWN] = maximum(c->ahead[KNOWN], settled);
+    c->ahead->known = maximum(c->ahead->known, settled);
 }
 
 static void push_knot(Core *c) {
-    const int count = count_ahead(c, COUNT);
-    c->ahead[COUNT] = count + 1;
-    c->ahead[FRESH] += 1.0;
-    if (knot(c, count)[K_CAP] == 0.0) c->ahead[COMPLETE] = 1.0; /* nothing comes after a stop */
-    if (c->ahead[COMPLETE] != 0.0 || c->ahead[FRESH] >= KNOTS_PER_PASS) look_back(c);
+    const int count = (int)c->ahead->count;
+    c->ahead->count = count + 1;
+    c->ahead->fresh += 1.0;
+    if (knot(c, count)->cap == 0.0) c->ahead->complete = 1.0; /* nothing comes after a stop */
+    if (c->ahead->complete != 0.0 || c->ahead->fresh >= KNOTS_PER_PASS) look_back(c);
 }
 
 static void finish_horizon(Core *c) {
-    c->ahead[COMPLETE] = 1.0;
+    c->ahead->complete = 1.0;
     look_back(c);
 }
 
 static void leave_behind(Core *c, double clock) {
-    while (c->ahead[COUNT] > 1.0 && knot(c, 1)[K_CLOCK] <= clock) {
-        c->ahead[HEAD] = place_of(c, 1);
-        c->ahead[COUNT] -= 1.0;
-        c->ahead[KNOWN] = maximum(c->ahead[KNOWN] - 1.0, 0.0);
+    while (c->ahead->count > 1.0 && knot(c, 1)->clock <= clock) {
+        c->ahead->head = place_of(c, 1);
+        c->ahead->count -= 1.0;
+        c->ahead->known = maximum(c->ahead->known - 1.0, 0.0);
     }
 }
 
 static int knot_before(const Core *c, double clock) {
     int i = 0;
-    while (i + 1 < count_ahead(c, COUNT) && knot(c, i + 1)[K_CLOCK] <= clock) i++;
+    while (i + 1 < (int)c->ahead->count && knot(c, i + 1)->clock <= clock) i++;
     return i;
 }
 
 static int reaches(const Core *c, double clock, double dt) {
-    const int settled = count_ahead(c, KNOWN);
-    return settled > 0 && knot(c, settled - 1)[K_CLOCK] > clock + 2.0 * dt;
+    const int settled = (int)c->ahead->known;
+    return settled > 0 && knot(c, settled - 1)->clock > clock + 2.0 * dt;
 }
 
 /* q′ and q″ at a clock, from the knots around it: q′ is linear between two knots, q″ between the middles of intervals.
  * Where the slopes of a corner lie between, the knot on this side counts alone. */
 static void joints_at(const Core *c, double clock, double *slope, double *curvature) {
-    const int i = knot_before(c, clock), last = count_ahead(c, COUNT) - 1, n = c->joints;
+    const int i = knot_before(c, clock), last = (int)c->ahead->count - 1, n = c->joints;
     const size_t bytes = sizeof(double) * (size_t)n;
     const double *here = vector_of(c, c->knot_slope, i), *before = vector_of(c, c->knot_curvature, i);
     memcpy(slope, here, bytes);
     memcpy(curvature, before, bytes);
-    if (i == last || !(knot(c, i + 1)[K_CLOCK] > knot(c, i)[K_CLOCK])) return;
-    const double since = clock - knot(c, i)[K_CLOCK], share = since / (knot(c, i + 1)[K_CLOCK] - knot(c, i)[K_CLOCK]);
+    if (i == last || !(knot(c, i + 1)->clock > knot(c, i)->clock)) return;
+    const double since = clock - knot(c, i)->clock, share = since / (knot(c, i + 1)->clock - knot(c, i)->clock);
     const int border = share < 0.5 ? i : i + 1, beside = share < 0.5 ? i : i + 2 > last ? last : i + 2;
     const double *own = vector_of(c, c->knot_curvature, i + 1), *other = vector_of(c, c->knot_curvature, beside);
-    const int alone = knot(c, border)[K_CORNER] != 0.0 || knot(c, beside)[K_SPAN] == 0.0;
+    const int alone = knot(c, border)->corner != 0.0 || knot(c, beside)->span == 0.0;
     const double towards = alone ? 0.0 : fabs(share - 0.5);
     for (int j = 0; j < n; j++) {
         slope[j] = here[j] + since * own[j];
@@ -103,31 +104,32 @@ static void joints_at(const Core *c, double clock, double *slope, double *curvat
 
 static double free_until(const Core *c, double margin) {
     double clock = -INFINITY;
-    for (int i = 0; i < count_ahead(c, COUNT); i++) {
-        if (!(knot(c, i)[K_SQUARE] >= 1.0)) return clock - margin;
-        clock = knot(c, i)[K_CLOCK];
+    for (int i = 0; i < (int)c->ahead->count; i++) {
+        if (!(knot(c, i)->square >= 1.0)) return clock - margin;
+        clock = knot(c, i)->clock;
     }
-    return c->ahead[COMPLETE] != 0.0 ? INFINITY : clock - margin;
+    return c->ahead->complete != 0.0 ? INFINITY : clock - margin;
 }
 
 /* K between knot i and the next one, its slope over the clock, and which of them makes it. */
 static Least square_after(const Core *c, int i, double clock) {
-    const double *here = knot(c, i);
-    if (i + 1 == count_ahead(c, COUNT)) return Least{here[K_SQUARE], 0.0, i};
-    const double *ahead = knot(c, i + 1), slope = (ahead[K_SQUARE] - here[K_SQUARE]) / (ahead[K_CLOCK] - here[K_CLOCK]);
-    return Least{here[K_SQUARE] + (clock - here[K_CLOCK]) * slope, slope, slope < 0.0 ? i + 1 : i};
+    const Knot *here = knot(c, i);
+    if (i + 1 == (int)c->ahead->count) return Least{here->square, 0.0, i};
+    const Knot *ahead = knot(c, i + 1);
+    const double slope = (ahead->square - here->square) / (ahead->clock - here->clock);
+    return Least{here->square + (clock - here->clock) * slope, slope, slope < 0.0 ? i + 1 : i};
 }
 
 /* The least K of a step: in its middle, at its end, and at the knots on its way. */
 static Least least_square(const Core *c, double clock, double rate, double dt) {
     const double parts[2] = {0.5 * dt, dt};
-    const int count = count_ahead(c, COUNT);
+    const int count = (int)c->ahead->count;
     int i = knot_before(c, clock);
     Least least = {INFINITY, 0.0, i};
     for (int part = 0; part < 2; part++) {
         const double at = clock + rate * parts[part];
-        while (i + 1 < count && knot(c, i + 1)[K_CLOCK] <= at)
-            if (knot(c, ++i)[K_SQUARE] < least.square) least = Least{knot(c, i)[K_SQUARE], 0.0, i};
+        while (i + 1 < count && knot(c, i + 1)->clock <= at)
+            if (knot(c, ++i)->square < least.square) least = Least{knot(c, i)->square, 0.0, i};
         const Least there = square_after(c, i, at);
         if (there.square < least.square) least = Least{there.square, there.slope * parts[part], there.cause};
     }

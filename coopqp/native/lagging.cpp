@@ -6,7 +6,7 @@
 /* Velocity of the object as commanded, in lengths at the grasps; 0 if it is not known. */
 static int told_velocity(const Core *c, double *velocity) {
     double *positions = c->scratch, *before = positions + c->joints, E[9], way[3], e[3], twist[6];
-    const double h = c->loop[LAST_DT], *now = c->carried;
+    const double h = c->loop->last_dt, *now = c->carried;
     for (int j = 0; j < c->joints; j++) positions[j] = c->positions[j] - h * c->velocity[j];
     carry(c, positions, before);
     multiply3_back(before, now, E);
@@ -20,17 +20,18 @@ static int told_velocity(const Core *c, double *velocity) {
 }
 
 static double hasty_by_now(Core *c, const double *velocity, double dt) {
-    double *w = c->watch, square = 0.0;
+    Watch *w = c->watch;
+    double square = 0.0;
     for (int i = 0; i < 6; i++) {
         const double change = (velocity[i] - c->lag_told[i]) / (HASTE_FILTER + dt);
         c->lag_told[i] += dt * change, square += change * change;
     }
-    return w[LAG_HASTE] = fmax(w[LAG_SUSPECTS] != 0.0 ? 0.0 : sqrt(square), w[LAG_HASTE] * SERVO_PEAK / (SERVO_PEAK + dt));
+    return w->lag_haste = fmax(w->lag_suspects != 0.0 ? 0.0 : sqrt(square), w->lag_haste * SERVO_PEAK / (SERVO_PEAK + dt));
 }
 
 /* rest = off + the part of it behind its command that a lag within the bounds explains */
 static void unexplained(const Core *c, const double *off, double behind, double speed, double *rest) {
-    const double lag = fmin(fmax(behind, c->watch[LAG_LOW] * speed), c->watch[LAG_HIGH] * speed);
+    const double lag = fmin(fmax(behind, c->watch->lag_low * speed), c->watch->lag_high * speed);
     for (int i = 0; i < 6; i++) rest[i] = off[i] + lag * c->lag_way[i];
 }
 
@@ -49,24 +50,26 @@ static int farthest_grasp(const Core *c, const double *rest) {
 
 /* The lag lies within these bounds; they, and the deviation at rest, drift by a share of the way. */
 static void learn_lag(Core *c, const double *off, double behind, double speed, double margin, double dt) {
-    double *w = c->watch, rest[6];
-    w[LAG_HIGH] = fmin(fmin(w[LAG_HIGH] + LARGEST_SLOPE * dt, LONGEST_LAG), fmax((behind + margin) / speed, 0.0));
-    w[LAG_LOW] = fmax(fmax(w[LAG_LOW] - LARGEST_SLOPE * dt, (behind - margin) / speed), 0.0);
-    if (w[LAG_LOW] > w[LAG_HIGH]) w[LAG_LOW] = w[LAG_HIGH] = 0.5 * (w[LAG_LOW] + w[LAG_HIGH]);
+    Watch *w = c->watch;
+    double rest[6];
+    w->lag_high = fmin(fmin(w->lag_high + LARGEST_SLOPE * dt, LONGEST_LAG), fmax((behind + margin) / speed, 0.0));
+    w->lag_low = fmax(fmax(w->lag_low - LARGEST_SLOPE * dt, (behind - margin) / speed), 0.0);
+    if (w->lag_low > w->lag_high) w->lag_low = w->lag_high = 0.5 * (w->lag_low + w->lag_high);
     unexplained(c, off, behind, speed, rest);
     const double share = fmin(LARGEST_SLOPE * speed * dt / fmax(sqrt(square6(rest)), 1e-300), 1.0);
     for (int i = 0; i < 6; i++) c->lag_base[i] += share * rest[i];
 }
 
 static void watch_lag(Core *c, double dt, Seen *seen) {
-    double *w = c->watch, velocity[6], mean[6] = {0}, off[6], rest[6], behind = 0.0;
+    Watch *w = c->watch;
+    double velocity[6], mean[6] = {0}, off[6], rest[6], behind = 0.0;
     if (!told_velocity(c, velocity)) return;
     const double hasty = hasty_by_now(c, velocity, dt), speed = sqrt(square6(velocity));
     for (int k = 0; k < c->arms; k++)
         for (int i = 0; i < 6; i++) mean[i] += c->deviation[6 * k + i] / c->arms;
     const int moves = speed > LAG_SLOWEST, rests = fmax(speed, sqrt(square6(c->lag_told))) <= LAG_SLOWEST;
-    if (w[LAG_BEGUN] == 0.0) { /* what moves shows no deviation at rest */
-        if (rests) memcpy(c->lag_base, mean, sizeof mean), w[LAG_BEGUN] = 1.0, w[LAG_HIGH] = LONGEST_LAG;
+    if (w->lag_begun == 0.0) { /* what moves shows no deviation at rest */
+        if (rests) memcpy(c->lag_base, mean, sizeof mean), w->lag_begun = 1.0, w->lag_high = LONGEST_LAG;
         return;
     }
     for (int i = 0; i < 6; i++) {
@@ -74,13 +77,13 @@ static void watch_lag(Core *c, double dt, Seen *seen) {
         if (moves) c->lag_way[i] = velocity[i] / speed;
         behind -= off[i] * c->lag_way[i];
     }
-    const double lag = moves ? clamp(behind / speed, w[LAG_LOW], w[LAG_HIGH]) : w[LAG_HIGH];
-    const double margin = (w[LAG_SUSPECTS] != 0.0 ? LET_GO : 1.0) * LAG_FLOOR + w[LAG_NOISE] +
+    const double lag = moves ? clamp(behind / speed, w->lag_low, w->lag_high) : w->lag_high;
+    const double margin = (w->lag_suspects != 0.0 ? LET_GO : 1.0) * LAG_FLOOR + w->lag_noise +
                           (LAG_LATE + lag * (LAG_FOLLOWS + 0.5 * lag)) * hasty;
     unexplained(c, off, behind, speed, rest);
     const double excess = sqrt(square6(rest)) - margin;
-    w[LAG_SUSPECTS] = excess > 0.0 && w[SAMPLES] >= FEW_SAMPLES;
-    if (w[LAG_SUSPECTS] == 0.0) {
+    w->lag_suspects = excess > 0.0 && w->samples >= FEW_SAMPLES;
+    if (w->lag_suspects == 0.0) {
         if (moves) learn_lag(c, off, behind, speed, margin, dt);
         for (int i = 0; i < 6 && rests; i++) c->lag_base[i] += dt / (LAG_SETTLES + dt) * off[i];
         return;

@@ -1,70 +1,81 @@
 """The core's memory, listed once: for the definition in Python, and for the header.
 
-Every field is an array of float64 in one of three blocks: ``CONFIG`` never changes, ``STATE`` is all that one step
-hands to the next (a copy of it is a copy of the controller), ``WORK`` is scratch. Sizes are written in the symbols of
-:func:`sizes`.
+Scalars are members of structs of doubles. Every field is an array of float64, or of such structs, in one of three
+blocks: ``CONFIG`` never changes, ``STATE`` is all that one step hands to the next (a copy of it is a copy of the
+controller), ``WORK`` is scratch. Sizes are written in the symbols of :func:`sizes`.
 """
 
 from __future__ import annotations
 
+import ctypes
 import functools
+from typing import Any
 
 from coopqp.native.constants import MOST_KINKS, MOST_KNOTS
 
-OPTIONS = (
-    "NOMINAL_DT", "GRASP_GAIN", "PATH_GAIN", "CORRECTION_SPEED", "CORRECTION_SPIN", "MEASUREMENT_TIME", "SHORTCUT",
-    "OWN_SOLVER", "CERTIFIED", "LEAVES_PATH",
-    "ACCELERATES", "RECOVERY_UNIT", "RELAX_UNIT", "RISE", "BLOCKED_RATE", "REIN_SLOPE", "OFF_PATH_DISTANCE",
-    "OFF_PATH_ANGLE",
-    "POSTURE_GAIN", "CENTRING", "MANIPULABILITY", "POSTURE_SHARE",
-    "LOOKS_AHEAD", "CAPS_SPEED", "CELL", "JOINT_STEP", "SLOPE_STEP", "SHORTEST", "CURVATURE_SHARE", "DOUBT",
-    "SLOPE_CAP", "ROOM", "SINGULAR_RATE", "NEWTON_STEPS",
-    "SLOW_FROM", "HOLD_FROM", "LET_IN", "NOISE_MARGIN", "RECOVERY_TIME", "FAULT_FROM", "STALL_SAMPLES", "STALL_SHARE",
-    "SILENT_TIME", "FILTER_TIME", "DT_LOW", "DT_HIGH", "JOINT_JUMP", "WATCHES_FORCE", "FORCE_LIMIT", "SERVO_DELAY",
-    "APART_HOLD",
-    "ELBOWS",
-)  # fmt: skip
+#: The structs by name, in the order of the header.
+STRUCTS: dict[str, Any] = {}
 
-#: Scalars of the state: the loop, the watch, the drift filter, the forces, the look-ahead.
-LOOP = (
-    "CLOCK", "RATE", "LAST_DT", "HAS_PREDICTED", "FIRST", "DRIFTED", "CORRECTING", "FAULT", "FAULT_ARM", "FAULT_A",
-    "FAULT_B", "PATH_LOST", "AWAY", "OVERRIDDEN", "PAUSE", "EASE",
-    "QUIET_SLACK", "QUIET_APPROACH", "QUIET_AHEAD", "STARTED", "MISMATCH", "CHAIN_HELD", "SAID", "OUTDATED",
-    "SHIFT_ASKED", "RATE_SLOPE",
-)  # fmt: skip
-WATCH = (
-    "SAMPLES", "WATCH_RATE", "WATCH_ARM", "SILENCE", "PRESSED", "HAS_SEEN", "PAST_COUNT", "PAST_HEAD", "FAR_SAMPLES",
-    "DRIFT_SPEED", "DRIFT_SINCE", "DRIFT_STARTED", "VAR_DRIFT", "COVARIANCE", "VAR_LAG",
-    "REST", "HAS_COMMANDED", "BEHIND", "GAP", "PULL",
-    "LAG_LOW", "LAG_HIGH", "LAG_HASTE", "LAG_NOISE", "LAG_BEGUN", "LAG_SUSPECTS",
-)  # fmt: skip
-AHEAD = (
-    "HEAD", "COUNT", "KNOWN", "FRESH", "COMPLETE", "ENDS", "FREE_UNTIL", "BEGIN_AT",
-    "GROWING", "TRY_SPAN", "ITERATION", "WAY", "BEYOND", "BEYOND_AT", "KEPT", "SOUGHT", "KINKS",
-    "SEEKING", "CLOSING_IN", "SEEK_FROM", "SEEK_TO", "SEEK_WHOLE", "KINK", "JUMP_AT", "JUMP_BY", "STEEP_BY",
-    "STEEP_AT",
-)  # fmt: skip
-#: Numbers of a knot beside its vectors.
-KNOT = (
-    "K_CLOCK", "K_SPAN", "K_CAP", "K_UNCAPPED", "K_FASTEST", "K_CHANGE", "K_INSIDE", "K_CORNER", "K_FALL", "K_RISE",
-    "K_KIND", "K_ARM", "K_JOINT", "K_SQUARE", "K_CAUSE_KIND", "K_CAUSE_ARM", "K_CAUSE_JOINT", "K_STOPS",
-    "K_FOUND", "K_SINCE", "K_UNTIL", "K_GAIN",
-)  # fmt: skip
-#: The proposal of a step. REASON comes with an arm (or an index) and two numbers.
-PROPOSAL = (
-    "DT", "CAP", "SPAN", "HAS_MEASURED", "CAP_KIND", "CAP_ARM", "CAP_JOINT", "WATCH_CAP", "HOLD", "FAULTS",
-    "REASON", "REASON_ARM", "REASON_A", "REASON_B", "OUTCOME", "NEW_RATE", "BINDING_ROW", "BINDING_SIDE",
-    "GRASP_SHARE", "PATH_SHARE", "PARTING", "BRAKED", "ITERATIONS", "OUTSIDE", "RELAXED", "PLACED", "LATE", "KEEP",
-    "BINDINGS", "ROWS", "APART", "CHAIN_HOLDS", "MISMATCH_LEFT", "MISMATCHED", "HAS_ERRORS", "CLOSES",
-    "MADE",
-)  # fmt: skip
+
+def _struct(name: str, members: str) -> Any:
+    """A struct of doubles, or of structs: ``member:Struct``. Made ``from_buffer`` it is a view of an array."""
+    pairs = (member.partition(":") for member in members.split())
+    fields = [(member, STRUCTS[kind] if kind else ctypes.c_double) for member, _, kind in pairs]
+    STRUCTS[name] = type(name, (ctypes.Structure,), {"__slots__": (), "_fields_": fields})
+    return STRUCTS[name]
+
+
+#: What makes a cap: codes of :data:`KINDS`; arm and joint are −1 where there is none.
+Cause = _struct("Cause", "kind arm joint")
+Options = _struct(
+    "Options",
+    "nominal_dt grasp_gain path_gain correction_speed correction_spin measurement_time shortcut own_solver certified "
+    "leaves_path accelerates recovery_unit relax_unit rise blocked_rate rein_slope off_path_distance off_path_angle "
+    "posture_gain centring manipulability posture_share looks_ahead caps_speed cell joint_step slope_step shortest "
+    "curvature_share doubt slope_cap room singular_rate newton_steps slow_from hold_from let_in noise_margin "
+    "recovery_time fault_from stall_samples stall_share silent_time filter_time dt_low dt_high joint_jump "
+    "watches_force force_limit servo_delay apart_hold elbows",
+)
+# Of the state: the loop, the watch with the drift filter and the forces, the look-ahead.
+Loop = _struct(
+    "Loop",
+    "clock rate last_dt has_predicted first drifted correcting fault fault_arm fault_a fault_b path_lost away "
+    "overridden pause ease quiet_slack quiet_approach quiet_ahead started mismatch chain_held said outdated "
+    "shift_asked rate_slope",
+)
+Watch = _struct(
+    "Watch",
+    "samples watch_rate watch_arm silence pressed has_seen past_count past_head far_samples drift_speed drift_since "
+    "drift_started var_drift covariance var_lag rest has_commanded behind gap pull "
+    "lag_low lag_high lag_haste lag_noise lag_begun lag_suspects",
+)
+Ahead = _struct(
+    "Ahead",
+    "head count known fresh complete ends free_until begin_at growing try_span iteration way beyond beyond_at kept "
+    "sought kinks seeking closing_in seek_from seek_to seek_whole kink jump_at jump_by steep_by steep_at",
+)
+#: A knot beside its vectors: what limits its own cap, and what causes the largest square of the rate there.
+Knot = _struct(
+    "Knot",
+    "clock span cap uncapped fastest change inside corner fall rise limit:Cause square cause:Cause stops found since "
+    "until gain",
+)
+#: The proposal of a step. The reason comes with an arm (or an index) and two numbers.
+Proposal = _struct(
+    "Proposal",
+    "dt cap span has_measured cause:Cause watch_cap hold faults reason reason_arm reason_a reason_b outcome new_rate "
+    "binding_row binding_side grasp_share path_share parting braked iterations outside relaxed placed late keep "
+    "bindings rows apart chain_holds mismatch_left mismatched has_errors closes made",
+)
 #: The record of a step, before its vectors q, velocity, q_next, off_path, and four numbers per binding limit: kind,
 #: arm, joint, constraint, each −1 if it does not apply.
-RECORD = (
-    "R_DT", "R_CLOCK", "R_CLOCK_NEXT", "R_RATE", "R_STATUS", "R_REASON", "R_REASON_ARM", "R_REASON_A", "R_REASON_B",
-    "R_GRASP_SHARE", "R_PATH_SHARE", "R_PARTING", "R_OUTCOME", "R_ITERATIONS", "R_BINDINGS", "R_AWAY", "R_TURNED",
-    "R_MEASURED", "R_APART",
-)  # fmt: skip
+Record = _struct(
+    "Record",
+    "dt clock clock_next rate status reason reason_arm reason_a reason_b grasp_share path_share parting outcome "
+    "iterations bindings away turned measured apart",
+)
+#: How many numbers a struct has.
+SIZES = {name: ctypes.sizeof(kind) // 8 for name, kind in STRUCTS.items()}
 #: Scalars of the relaxation of forces: settings, then state; see minding.h for the arrays behind them.
 MINDING = (
     "WRENCH_FILTER", "DEAD_BAND", "RELAX_TIME", "DRIFT_TIME", "RAMP_TIME", "WRENCH_SILENCE",
@@ -104,7 +115,7 @@ REASONS = (
     "LOOK_AHEAD_FAILED", "CONSTRAINT_FAILED", "OFF_SERVOS", "TOUCHING", "OFF_LAG",
 )  # fmt: skip
 
-#: The fields of each block: name and size.
+#: The fields of each block: name and size. A size that begins with a struct is of a field of such structs.
 CONFIG = (
     ("arm_start", "n"), ("arm_size", "n"),
     ("link_R", "9 * nv"), ("link_p", "3 * nv"), ("prismatic", "nv"), ("continuous", "nv"), ("q_index", "nv"),
@@ -114,26 +125,26 @@ CONFIG = (
     ("posture_cap", "nv"), ("posture_bounded", "nv"), ("posture_middle", "nv"),
     ("plan_speed", "nv"), ("plan_acceleration", "nv"), ("plan_jump", "nv"), ("plan_room", "nv"), ("slope_change", "nv"),
     ("most_move", "nv"),
-    ("options", str(len(OPTIONS))),
+    ("options", "Options"),
 )  # fmt: skip
 STATE = (
-    ("loop", str(len(LOOP))), ("positions", "nv"), ("velocity", "nv"), ("before", "nv"), ("predicted", "6 * n"),
+    ("loop", "Loop"), ("positions", "nv"), ("velocity", "nv"), ("before", "nv"), ("predicted", "6 * n"),
     ("foreseen", "6 * n"),
     ("mismatch", "6 * n"), ("grasp_shift", "6 * n"), ("asked_shift", "6 * n"), ("drift", "6"), ("correcting", "6"),
     ("posture_target", "nv"),
     ("quiet_centre", "nv"), ("quiet_reach", "nv"), ("quiet_ahead_centre", "nv"), ("quiet_ahead_reach", "nv"),
-    ("watch", str(len(WATCH))), ("deviation", "6 * n"), ("away", "6 * n"), ("away_step", "6 * n"), ("noise", "n"),
+    ("watch", "Watch"), ("deviation", "6 * n"), ("away", "6 * n"), ("away_step", "6 * n"), ("noise", "n"),
     ("stalled", "n"), ("widest", "n"), ("lost", "n"), ("seen", "nq"), ("history", "2 * nv * past"),
     ("slow_drift", "6 * n"), ("lag", "6 * n"), ("apart", "6 * n"), ("drift_last", "nv"),
     ("lag_base", "6"), ("lag_told", "6"), ("lag_way", "6"),
     ("deflection", "nv"), ("way", "nv"), ("commanded", "nv"), ("forces", "n"),
-    ("ahead", str(len(AHEAD))), ("ahead_R", "9 * n"), ("ahead_p", "3 * n"), ("kinks", str(MOST_KINKS)),
+    ("ahead", "Ahead"), ("ahead_R", "9 * n"), ("ahead_p", "3 * n"), ("kinks", "kinks"),
     ("seek_low", "12"), ("seek_high", "12"), ("told_velocity", "nv"),
-    ("knots", f"{len(KNOT)} * knots"), ("knot_positions", "nv * knots"), ("knot_slope", "nv * knots"),
+    ("knots", "Knot * knots"), ("knot_positions", "nv * knots"), ("knot_slope", "nv * knots"),
     ("knot_curvature", "nv * knots"), ("knot_edges", "nv * knots"),
 )  # fmt: skip
 WORK = (
-    ("proposal", str(len(PROPOSAL))), ("near_x", "nv"), ("near_sin", "nv"), ("near_cos", "nv"), ("carried", "12 * n"),
+    ("proposal", "Proposal"), ("near_x", "nv"), ("near_sin", "nv"), ("near_cos", "nv"), ("carried", "12 * n"),
     ("jacobian", "6 * nv"), ("R", "9"), ("p", "3"), ("along", "6"), ("path", "6"), ("measured", "6"),
     ("measured_positions", "nv"), ("measured_carried", "12 * n"), ("measured_away", "6 * n"),
     ("measured_moved", "6 * n"),
@@ -145,7 +156,7 @@ WORK = (
     ("recovery", "nv"), ("outside", "nv"), ("further", "nv * rows"), ("further_lower", "rows"),
     ("further_upper", "rows"), ("further_soft", "rows"), ("further_owner", "rows"), ("base", "nv + rows"),
     ("columns", "(nv + rows) * unknowns"), ("x", "unknowns + nv + rows"), ("bindings", "4 * (nv + rows)"),
-    ("record", f"{len(RECORD)} + 2 * nq + nv + 6 + 4 * (nv + rows)"), ("sketch", "24 * n + 9 * nv"),
+    ("record", "Record + 2 * nq + nv + 6 + 4 * (nv + rows)"), ("sketch", "24 * n + 9 * nv"),
     ("least_pivot", "n"),
     ("lines", "3 * (4 * nv + 4)"),
     ("evading_positions", "nv"), ("evading_slope", "nv"),
@@ -153,6 +164,12 @@ WORK = (
 )  # fmt: skip
 
 BLOCKS = (("CONFIG", CONFIG), ("STATE", STATE), ("WORK", WORK))
+
+
+def kind_of(size: str) -> str:
+    """What a field of this size is an array of, in C++."""
+    first = size.split()[0]
+    return first if first in STRUCTS else "double"
 
 
 def sizes(*, n: int, nv: int, nq: int, unknowns: int, past: int, rows: int) -> dict[str, int]:
@@ -169,8 +186,24 @@ def sizes(*, n: int, nv: int, nq: int, unknowns: int, past: int, rows: int) -> d
     scratch = x * m + 3 * (m + x) + 2 * x * (x + 3) + 64 * n + 8 * nv
     return {
         "n": n, "nv": nv, "nq": nq, "unknowns": unknowns, "past": past, "rows": rows, "knots": MOST_KNOTS,
-        "scratch": scratch,
+        "kinks": MOST_KINKS, "scratch": scratch, **SIZES,
     }  # fmt: skip
+
+
+def views(fields: dict[str, Any]) -> dict[str, Any]:
+    """Structs over the memory of the fields that are made of them; of several of a kind a sequence."""
+    kinds = {name: STRUCTS.get(size.split()[0]) for _, block in BLOCKS for name, size in block}
+    return {
+        name: (kind * (array.size // SIZES[kind.__name__]) if name == "knots" else kind).from_buffer(array)
+        for name, array in fields.items()
+        if (kind := kinds[name]) is not None
+    }
+
+
+def place(kind: Any, member: str) -> int:
+    """Where a member stands in its struct."""
+    begin: int = getattr(kind, member).offset // 8
+    return begin
 
 
 def offsets(block: tuple[tuple[str, str], ...], symbols: dict[str, int], *, gap: int = 0) -> dict[str, tuple[int, int]]:
@@ -213,9 +246,8 @@ def _value(size: str, symbols: dict[str, int]) -> int:
     return summed()
 
 
-#: Lists of names, by what counts them in the header.
+#: Lists of codes, by what counts them in the header.
 LISTS = {
-    "OPTIONS": OPTIONS, "LOOP": LOOP, "WATCH": WATCH, "AHEAD": AHEAD, "KNOT": KNOT, "PROPOSAL": PROPOSAL,
-    "OUTCOMES": OUTCOMES, "KINDS": KINDS, "REASONS": REASONS, "RECORD": RECORD, "STATUSES": STATUSES,
+    "OUTCOMES": OUTCOMES, "KINDS": KINDS, "REASONS": REASONS, "STATUSES": STATUSES,
     "MINDING": MINDING, "STAGES": STAGES, "HEARING": HEARING, "SENSORS": SENSORS, "WHYS": WHYS,
 }  # fmt: skip

@@ -14,7 +14,7 @@ static double stopping_speed(double d, double a, double h) {
 static double fastest(const Core *c, int j, double h) {
     if (c->most_move[j] == INFINITY) return c->speed[j];
     const double most = c->most_move[j] / h;
-    return c->proposal[HOLD] != 0.0 ? fmin(most, fmax(HELD_SPEED, HELD_SHARE * fabs(c->velocity[j]))) : most;
+    return c->proposal->hold != 0.0 ? fmin(most, fmax(HELD_SPEED, HELD_SHARE * fabs(c->velocity[j]))) : most;
 }
 
 /* The box lower ≤ v ≤ upper, never empty; where limits conflict, acceleration wins. From outside a position limit it only
@@ -58,7 +58,7 @@ static int lead_back(Core *c, double h) {
 
 /* Whether the command stays inside all limits from inside, without a need to clip: the box without its divisions. */
 static int well_inside(const Core *c, double h) {
-    int inside = c->proposal[HOLD] == 0.0; /* a hold brakes joints without limits */
+    int inside = c->proposal->hold == 0.0; /* a hold brakes joints without limits */
     for (int j = 0; j < c->joints; j++) {
         const double v = c->command[j], speed = fabs(v), a = c->acceleration[j];
         const double up = c->high[j] - c->positions[j], down = c->positions[j] - c->low[j];
@@ -144,9 +144,9 @@ static int ray(Core *c, double cap) {
     }
     if (!(rates.high >= fmax(rates.low, 0.0) && rates.low <= 1.0)) return 0;
     const double rate = rates.high < cap ? rates.high : fmax(cap, rates.low);
-    c->proposal[BINDING_ROW] = rates.high < cap ? rates.row : -1.0;
-    c->proposal[BINDING_SIDE] = rates.side;
-    c->proposal[NEW_RATE] = rate;
+    c->proposal->binding_row = rates.high < cap ? rates.row : -1.0;
+    c->proposal->binding_side = rates.side;
+    c->proposal->new_rate = rate;
     for (int j = 0; j < c->joints; j++) c->command[j] += (rate - cap) * along[j];
     return clip(c, 2.0 * LIMIT_TOLERANCE) && further_admissible(c, 10.0 * LIMIT_TOLERANCE);
 }

@@ -67,7 +67,7 @@ static double next_breakpoint(const Core *c, double clock) {
             after = minimum(after, c->path_numbers[3 + i]);
             break;
         }
-    for (int i = 0; i < (int)c->ahead[KINKS]; i++)
+    for (int i = 0; i < (int)c->ahead->kinks; i++)
         if (c->kinks[i] > clock + SAME_CLOCK) return minimum(after, c->kinks[i]);
     return after;
 }
@@ -144,33 +144,35 @@ static double asked_distance(int pose, const double *a, const double *b) {
 }
 
 static int begin_seeking(Core *c, int pose, double from, double to) {
-    double *a = c->ahead;
+    Ahead *a = c->ahead;
     if (!ask_own(c, pose, from, c->seek_low) || !ask_own(c, pose, to, c->seek_high)) return 0;
-    a[SEEK_FROM] = from, a[SEEK_TO] = to, a[SEEK_WHOLE] = asked_distance(pose, c->seek_low, c->seek_high);
-    return a[SEEK_WHOLE] > (pose ? maximum(FASTEST_PATH * (to - from), LEAST_JUMP) : LEAST_KINK);
+    a->seek_from = from, a->seek_to = to, a->seek_whole = asked_distance(pose, c->seek_low, c->seek_high);
+    return a->seek_whole > (pose ? maximum(FASTEST_PATH * (to - from), LEAST_JUMP) : LEAST_KINK);
 }
 
 static int seeks_on(const Core *c, int pose) {
-    const double *a = c->ahead, narrow = maximum(STEEP_WIDTH, STEEP_SHARE * a[STEEP_AT]);
-    return a[SEEK_TO] - a[SEEK_FROM] > (!pose ? KINK_WIDTH : a[STEEP_BY] > 0.0 ? narrow : JUMP_WIDTH);
+    const Ahead *a = c->ahead;
+    const double narrow = maximum(STEEP_WIDTH, STEEP_SHARE * a->steep_at);
+    return a->seek_to - a->seek_from > (!pose ? KINK_WIDTH : a->steep_by > 0.0 ? narrow : JUMP_WIDTH);
 }
 
 static int go_on_seeking(Core *c, int pose) {
-    double *a = c->ahead, middle[12];
-    const double clock = 0.5 * (a[SEEK_FROM] + a[SEEK_TO]);
-    if (!ask_own(c, pose, clock, middle) || !(a[SEEK_FROM] < clock && clock < a[SEEK_TO])) return 0;
+    Ahead *a = c->ahead;
+    double middle[12];
+    const double clock = 0.5 * (a->seek_from + a->seek_to);
+    if (!ask_own(c, pose, clock, middle) || !(a->seek_from < clock && clock < a->seek_to)) return 0;
     if (asked_distance(pose, c->seek_low, middle) >= asked_distance(pose, middle, c->seek_high)) {
-        a[SEEK_TO] = clock;
+        a->seek_to = clock;
         memcpy(c->seek_high, middle, sizeof middle);
     } else {
-        a[SEEK_FROM] = clock;
+        a->seek_from = clock;
         memcpy(c->seek_low, middle, sizeof middle);
     }
     return 1;
 }
 
 static double found_by_seeking(const Core *c, int pose) {
-    const double there = asked_distance(pose, c->seek_low, c->seek_high), share = KINK_SHARE * c->ahead[SEEK_WHOLE];
+    const double there = asked_distance(pose, c->seek_low, c->seek_high), share = KINK_SHARE * c->ahead->seek_whole;
     return there > (pose ? share : maximum(share, LEAST_KINK)) ? there : 0.0;
 }
 

@@ -19,7 +19,7 @@ static void swap_grasps(Core *c) {
 
 /* While the look-ahead fails the arms hold. */
 static void hold_blind(Core *c) {
-    if (c->proposal[WATCH_CAP] > 0.0) refuse(c, LOOK_AHEAD_FAILED, -1, c->loop[CLOCK]);
+    if (c->proposal->watch_cap > 0.0) refuse(c, LOOK_AHEAD_FAILED, -1, c->loop->clock);
 }
 
 /* Grow the horizon until it reaches far enough, or by that many Newton steps, or questions to a user's path. */
@@ -27,7 +27,7 @@ static void extend_horizon(Core *c, double clock, double dt, int newton_steps, d
     c->asked = 0;
     for (int i = 0; i < newton_steps; i++) {
         leave_behind(c, clock);
-        if (c->ahead[COMPLETE] != 0.0 || reaches(c, clock, dt) || c->asked >= most_asked) return;
+        if (c->ahead->complete != 0.0 || reaches(c, clock, dt) || c->asked >= most_asked) return;
         const int grown = work_ahead(c);
         if (grown < 0) hold_blind(c);
         if (grown <= 0) return;
@@ -39,28 +39,28 @@ static double steps_to_grow(const Core *c) { return own_path(c) || c->bound_knot
 
 /* A piece of work before it is needed: on bodies ahead, else on the next knot. */
 static void work_early(Core *c) {
-    if (c->survey_ahead && c->ahead[GROWING] == 0.0 && c->survey_ahead(c)) return;
+    if (c->survey_ahead && c->ahead->growing == 0.0 && c->survey_ahead(c)) return;
     work_ahead(c);
 }
 
 /* How often a user's path is asked in a step for what is ahead. */
 static double most_asked(const Core *c) {
-    return own_path(c) ? LEAST_ASKED + maximum(0.0, floor(ASKED_PER_TIME * (c->options[NOMINAL_DT] - SHORT_STEP))) : INFINITY;
+    return own_path(c) ? LEAST_ASKED + maximum(0.0, floor(ASKED_PER_TIME * (c->options->nominal_dt - SHORT_STEP))) : INFINITY;
 }
 
 /* The cap of a step, from a horizon that is grown for it, and the knot that makes it; −1 if none does. */
 static double cap_on_horizon(Core *c, double clock, double dt, int *cause) {
-    double *a = c->ahead;
+    Ahead *a = c->ahead;
     Least least = least_square(c, clock, 1.0, dt);
     *cause = -1;
     if (least.square >= 1.0) {
-        a[FREE_UNTIL] = free_until(c, 2.0 * maximum(dt, c->options[NOMINAL_DT]));
-        a[BEGIN_AT] = a[FREE_UNTIL] - steps_to_grow(c) * c->options[NOMINAL_DT];
+        a->free_until = free_until(c, 2.0 * maximum(dt, c->options->nominal_dt));
+        a->begin_at = a->free_until - steps_to_grow(c) * c->options->nominal_dt;
         return 1.0;
     }
     const double rate = largest_rate(c, clock, dt, &least);
     *cause = least.cause;
-    a[ENDS] = knot(c, *cause)[K_STOPS];
+    a->ends = knot(c, *cause)->stops;
     return rate;
 }
 
@@ -68,44 +68,44 @@ static void preview_try(Core *c, double clock, int kept, int later) {
     take_grasps(c);
     swap_grasps(c);
     const int head = kept ? place_of(c, kept) : 0;
-    memset(c->ahead, 0, sizeof(double) * N_AHEAD);
-    c->ahead[HEAD] = head, c->ahead[KEPT] = kept;
-    c->ahead[FREE_UNTIL] = -INFINITY;
-    c->ahead[BEGIN_AT] = INFINITY;
+    *c->ahead = Ahead{};
+    c->ahead->head = head, c->ahead->kept = kept;
+    c->ahead->free_until = -INFINITY;
+    c->ahead->begin_at = INFINITY;
     if (first_knot(c, clock)) push_knot(c);
-    if (c->ahead[COUNT] > 0.0 && !later)
-        extend_horizon(c, clock, c->options[NOMINAL_DT], NEWTON_STEPS_AT_START, INFINITY);
+    if (c->ahead->count > 0.0 && !later)
+        extend_horizon(c, clock, c->options->nominal_dt, NEWTON_STEPS_AT_START, INFINITY);
     swap_grasps(c);
 }
 
 static void preview_reset(Core *c, double clock, int later) { preview_try(c, clock, 0, later); }
 
 static double cap_ahead(Core *c, double clock, double dt) {
-    double *a = c->ahead;
+    Ahead *a = c->ahead;
     int cause = -1;
-    name_cause(c->proposal + CAP_KIND, NONE, -1, -1);
+    name_cause(c->proposal->cause, NONE, -1, -1);
     if (!(isfinite(clock) && isfinite(dt))) return 0.0;
-    if (a[COUNT] == 0.0 && first_knot(c, clock)) push_knot(c); /* the path failed where it began */
-    if (a[COUNT] == 0.0) {
+    if (a->count == 0.0 && first_knot(c, clock)) push_knot(c); /* the path failed where it began */
+    if (a->count == 0.0) {
         hold_blind(c);
         return 0.0;
     }
     /* Beside bodies growth goes on before the rate is no longer known to be free. */
-    const double early = c->bound_knot ? steps_to_grow(c) * c->options[NOMINAL_DT] : 0.0;
-    if (clock < a[FREE_UNTIL] - early && dt <= c->options[NOMINAL_DT]) {
-        if (clock >= a[BEGIN_AT]) work_early(c);
+    const double early = c->bound_knot ? steps_to_grow(c) * c->options->nominal_dt : 0.0;
+    if (clock < a->free_until - early && dt <= c->options->nominal_dt) {
+        if (clock >= a->begin_at) work_early(c);
         return 1.0;
     }
-    extend_horizon(c, clock, dt, (int)c->options[NEWTON_STEPS], most_asked(c));
-    if (a[COMPLETE] == 0.0 && !reaches(c, clock + steps_to_grow(c) * dt, dt) && !c->asked) work_early(c);
-    a[ENDS] = 0.0;
+    extend_horizon(c, clock, dt, (int)c->options->newton_steps, most_asked(c));
+    if (a->complete == 0.0 && !reaches(c, clock + steps_to_grow(c) * dt, dt) && !c->asked) work_early(c);
+    a->ends = 0.0;
     const double cap = cap_on_horizon(c, clock, dt, &cause);
-    for (int i = 0; cause >= 0 && i < 3; i++) c->proposal[CAP_KIND + i] = knot(c, cause)[K_CAUSE_KIND + i];
+    if (cause >= 0) c->proposal->cause = knot(c, cause)->cause;
     return cap > 0.0 ? cap : 0.0;
 }
 
 static double preview_cap(Core *c, double clock, double dt) {
-    if (c->ahead[GROWING] == 0.0) take_grasps(c);
+    if (c->ahead->growing == 0.0) take_grasps(c);
     swap_grasps(c);
     const double cap = cap_ahead(c, clock, dt);
     swap_grasps(c);
@@ -114,11 +114,11 @@ static double preview_cap(Core *c, double clock, double dt) {
 
 /* Largest rise of σ near a clock by further constraints, and by joints that no step limits; the joint, or −1. */
 static double preview_rise(const Core *c, double clock, int *joint) {
-    const int count = count_ahead(c, COUNT);
+    const int count = (int)c->ahead->count;
     *joint = -1;
     if (!count) return INFINITY;
     const int i = knot_before(c, clock), ahead = i + 1 < count ? i + 1 : i;
-    const double rise = minimum(knot(c, i)[K_RISE], knot(c, ahead)[K_RISE]);
+    const double rise = minimum(knot(c, i)->rise, knot(c, ahead)->rise);
     if (c->accelerates) return rise;
     const double *slope = vector_of(c, c->knot_slope, i), *next = vector_of(c, c->knot_slope, ahead);
     double most = 0.0;
@@ -147,17 +147,17 @@ static double preview_brake(const Core *c, double clock, double dt, double rate)
 }
 
 static void preview_reference(Core *c, double clock, double *positions, double *slope) {
-    if (c->ahead[COUNT] == 0.0) {
+    if (c->ahead->count == 0.0) {
         memcpy(positions, c->positions, sizeof(double) * (size_t)c->joints);
         memset(slope, 0, sizeof(double) * (size_t)c->joints);
         return;
     }
     leave_behind(c, clock);
-    const int ahead = c->ahead[COUNT] > 1.0 ? 1 : 0;
+    const int ahead = c->ahead->count > 1.0 ? 1 : 0;
     const double *x = vector_of(c, c->knot_positions, 0), *first = vector_of(c, c->knot_slope, 0);
     const double *second = vector_of(c, c->knot_slope, ahead);
-    const double span = knot(c, ahead)[K_CLOCK] - knot(c, 0)[K_CLOCK];
-    const double share = span > 0.0 ? clamp((clock - knot(c, 0)[K_CLOCK]) / span, 0.0, 1.0) : 0.0;
+    const double span = knot(c, ahead)->clock - knot(c, 0)->clock;
+    const double share = span > 0.0 ? clamp((clock - knot(c, 0)->clock) / span, 0.0, 1.0) : 0.0;
     /* Quadratic from the knot before: exact to second order, continuous to third. */
     for (int j = 0; j < c->joints; j++) {
         slope[j] = first[j] + share * (second[j] - first[j]);

@@ -149,7 +149,7 @@ static int solve_condensed(Core *c, double cap, int relax) {
     int slack = c->unknowns;
     for (int j = 0; j < c->joints; j++)
         if (c->outside[j] != 0.0) {
-            put_row(c, j, n, slack++, c->options[RECOVERY_UNIT], c->recovery[j], c->recovery[j], A + n * m, low + m,
+            put_row(c, j, n, slack++, c->options->recovery_unit, c->recovery[j], c->recovery[j], A + n * m, low + m,
                     high + m);
             m++;
         }
@@ -157,7 +157,7 @@ static int solve_condensed(Core *c, double cap, int relax) {
         put_row(c, j, n, -1, 0.0, c->lower[j], c->upper[j], A + n * m, low + m, high + m);
     for (int r = 0; r < c->further_rows; r++, m++) {
         const int gives_way = relax && c->further_soft[r] != 0.0;
-        put_row(c, c->joints + r, n, gives_way ? slack++ : -1, c->options[RELAX_UNIT] * c->further_soft[r],
+        put_row(c, c->joints + r, n, gives_way ? slack++ : -1, c->options->relax_unit * c->further_soft[r],
                 c->further_lower[r], c->further_upper[r], A + n * m, low + m, high + m);
     }
     return least_distance(n, m, A, low, high, lb, ub, LARGEST_X, c->x, y, y + m + n);
@@ -166,7 +166,7 @@ static int solve_condensed(Core *c, double cap, int relax) {
 /* The step that a solution stands for: command, rate, shares and off-path twist, and the limits at which it stands.
  * 0 if its excess over a limit is more than a solver's residue. */
 static int read_answer(Core *c, double cap) {
-    double *p = c->proposal;
+    Proposal *p = c->proposal;
     int count = 0;
     for (int i = 0; i < c->joints; i++) {
         double v = c->base[i];
@@ -181,16 +181,16 @@ static int read_answer(Core *c, double cap) {
             const double upper = own ? c->further_upper[i - c->joints] : c->upper[i];
             const double excess = pass ? lower - v : v - upper;
             const int soft = own && c->further_soft[i - c->joints] != 0.0;
-            if (!(excess <= RESIDUE_TOLERANCE) && !(soft && p[RELAXED] != 0.0)) return 0;
+            if (!(excess <= RESIDUE_TOLERANCE) && !(soft && p->relaxed != 0.0)) return 0;
             if (fabs(excess) > AT_LIMIT && !(own && excess > 0.0)) continue;
             c->bindings[2 * count] = i;
             c->bindings[2 * count++ + 1] = pass ? -1.0 : 1.0;
         }
-    p[BINDINGS] = count;
+    p->bindings = count;
     for (int j = 0; j < c->joints; j++) c->command[j] = clamp(c->command[j], c->lower[j], c->upper[j]);
     for (int i = 0; i < 6; i++) c->off_path[i] = c->x[i] * c->unit[i];
-    p[NEW_RATE] = clamp(cap - c->x[6] * c->unit[6], 0.0, cap); /* a solver may miss its bounds a little */
-    p[GRASP_SHARE] = 1.0 - c->x[7] * c->unit[7];
-    p[PATH_SHARE] = 1.0 - c->x[8] * c->unit[8];
+    p->new_rate = clamp(cap - c->x[6] * c->unit[6], 0.0, cap); /* a solver may miss its bounds a little */
+    p->grasp_share = 1.0 - c->x[7] * c->unit[7];
+    p->path_share = 1.0 - c->x[8] * c->unit[8];
     return 1;
 }

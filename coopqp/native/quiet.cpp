@@ -19,14 +19,14 @@ static double way_from(const Core *c, const double *x, const double *centre, con
 
 /* No further row binds the command, without asking for them. */
 static int quiet_step(const Core *c) {
-    const double h = c->proposal[DT], share = minimum(c->loop[QUIET_APPROACH] * h, 1.0);
+    const double h = c->proposal->dt, share = minimum(c->loop->quiet_approach * h, 1.0);
     if (!(share > 0.0)) return 0;
-    return way_from(c, c->positions, c->quiet_centre, c->quiet_reach, c->command, h / share) < c->loop[QUIET_SLACK];
+    return way_from(c, c->positions, c->quiet_centre, c->quiet_reach, c->command, h / share) < c->loop->quiet_slack;
 }
 
 /* No further constraint asks for anything ahead at x. */
 static int quiet_ahead(const Core *c, const double *x) {
-    return way_from(c, x, c->quiet_ahead_centre, c->quiet_ahead_reach, nullptr, 0.0) < c->loop[QUIET_AHEAD];
+    return way_from(c, x, c->quiet_ahead_centre, c->quiet_ahead_reach, nullptr, 0.0) < c->loop->quiet_ahead;
 }
 
 /* No further constraint stops the object between the knot before and one at x, `span` after it. */

@@ -47,7 +47,7 @@ static void watch_servos(Core *c, const double *away, double dt, Seen *seen) {
     if (m[STAGE] < RELAXING || m[SENSOR_FAULT] != SENSORS_FINE) return;
     compare_with_servos(c, &f, away, off);
     to_grasps(c, off, at_grasps);
-    const double time = c->options[FILTER_TIME], share = sqrt(dt / (2.0 * time + dt)); /* of the noise that passes */
+    const double time = c->options->filter_time, share = sqrt(dt / (2.0 * time + dt)); /* of the noise that passes */
     const double noise = share * m[SERVO_NOISE]; /* before this sample, which may be the first of a stall */
     m[SERVO_NOISE] = noise_seen(c->arms, m + SERVO_SAMPLES, f.off_last, f.off_step, f.off_noise, at_grasps, dt);
     for (int i = 0; i < 6 * c->arms; i++) f.off_servos[i] += dt / (time + dt) * (at_grasps[i] - f.off_servos[i]);
@@ -66,7 +66,7 @@ static void watch_servos(Core *c, const double *away, double dt, Seen *seen) {
     const double far = sqrt(square6(apart + 6 * arm));
     /* Softer servos than given deflect more for the same force, and what their damping makes of it is as much larger. */
     const double soft = clamp(m[STIFFER], SOFTEST, 1.0);
-    const double worst = soft * (far - c->options[NOISE_MARGIN] * noise) - SERVO_LATE * hasty;
+    const double worst = soft * (far - c->options->noise_margin * noise) - SERVO_LATE * hasty;
     m[SUSPECTED] = worst > SERVO_SLOWS;
     if (m[SUSPECTED] == 0.0) return;
     Seen found;

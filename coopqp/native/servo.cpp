@@ -112,20 +112,20 @@ static int jumps(const Core *c, const double *velocity) {
 /* Try a path from the present clock on at a rate: 1 if its first step keeps to it, and no joint jumps; the joints may force
  * a rate above the cap. What was known ahead stays in the ring. */
 static int admits(Core *c, const double *numbers, double rate, int needed) {
-    const int kept = count_ahead(c, COUNT) + count_ahead(c, WAY) + 2;
+    const int kept = (int)c->ahead->count + (int)c->ahead->way + 2;
     c->path_numbers = numbers;
-    c->loop[RATE] = rate, c->loop[RATE_SLOPE] = 0.0;
-    if (c->looks_ahead) preview_try(c, c->loop[CLOCK], kept, 0);
+    c->loop->rate = rate, c->loop->rate_slope = 0.0;
+    if (c->looks_ahead) preview_try(c, c->loop->clock, kept, 0);
     if (!needed) return 1;
     observe(c, nullptr, nullptr);
     c->further_rows = 0;
     const int found = propose(c) < FILLED;
-    return found && fmin(c->proposal[CAP], c->proposal[NEW_RATE]) >= rate - RATE_TOLERANCE && !jumps(c, c->command);
+    return found && fmin(c->proposal->cap, c->proposal->new_rate) >= rate - RATE_TOLERANCE && !jumps(c, c->command);
 }
 
 static int go_over(Core *c, const double *goal, double speed, double spin, double full, double *numbers) {
-    const double clock = c->loop[CLOCK], now = c->loop[RATE], *present = c->path_numbers;
-    double ahead[N_AHEAD], loop[N_LOOP], twist[6], fastest = 0.0;
+    const double clock = c->loop->clock, now = c->loop->rate, *present = c->path_numbers;
+    double twist[6], fastest = 0.0;
     Way w = {};
     w.goal = goal, w.speed = speed, w.spin = spin;
     stay_near(c, c->positions);
@@ -133,8 +133,8 @@ static int go_over(Core *c, const double *goal, double speed, double spin, doubl
     for (int i = 0; i < 6; i++) fastest = fmax(fastest, fabs(now * twist[i]));
     const int rests = !(fastest > STILL_OBJECT);
     if (rests && jumps(c, nullptr)) return 0; /* self-motion goes on where the object rests; the new way begins at rest */
-    memcpy(ahead, c->ahead, sizeof ahead);
-    memcpy(loop, c->loop, sizeof loop);
+    const Ahead ahead = *c->ahead;
+    const Loop loop = *c->loop;
     for (int tries = 0; tries < (rests ? 1 : 2); tries++) {
         const double rate = rests ? 0.0 : tries ? fmin(now, full) : full;
         if (!rests && (!(rate > 0.0) || (tries && rate == full))) continue;
@@ -145,12 +145,12 @@ static int go_over(Core *c, const double *goal, double speed, double spin, doubl
         if (!way_to(c, &w, clock, segment)) return -1;
         numbers[0] = c->duration, numbers[1] = numbers[2] = 1.0, numbers[3] = clock + segment[19];
         const int taken = admits(c, numbers, rate, !rests);
-        memcpy(c->loop, loop, sizeof loop);
+        *c->loop = loop;
         if (taken) {
-            c->loop[RATE] = rate, c->loop[RATE_SLOPE] = 0.0, c->ahead[KEPT] = 0.0;
+            c->loop->rate = rate, c->loop->rate_slope = 0.0, c->ahead->kept = 0.0;
             return 1;
         }
-        memcpy(c->ahead, ahead, sizeof ahead);
+        *c->ahead = ahead;
         c->path_numbers = present;
     }
     return 0;

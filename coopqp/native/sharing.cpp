@@ -88,48 +88,48 @@ static double largest_along(const Lines *l, double z, int moves) {
 
 static double largest_alone(const Core *c, int i) {
     const double *slope = vector_of(c, c->knot_slope, i), *bend = vector_of(c, c->knot_curvature, i);
-    Lines l = lines_of(c, knot(c, i)[K_CAP]);
+    Lines l = lines_of(c, knot(c, i)->cap);
     for (int j = 0; j < c->joints; j++) add_pair(&l, slope[j], bend[j], bend[j], 0.0, c->plan_acceleration[j], j);
-    add_pair(&l, 1.0, 0.0, 0.0, 0.0, c->options[SLOPE_CAP], c->joints);
+    add_pair(&l, 1.0, 0.0, 0.0, 0.0, c->options->slope_cap, c->joints);
     return largest_z(&l);
 }
 
 static int find_share(Core *c, int i) {
-    double *here = knot(c, i);
-    const double *ahead = knot(c, i + 1);
+    Knot *here = knot(c, i);
+    const Knot *ahead = knot(c, i + 1);
     const double *slope = vector_of(c, c->knot_slope, i), *chord = vector_of(c, c->knot_curvature, i + 1);
     const double *before = vector_of(c, c->knot_curvature, i), *after = chord, *a = c->plan_acceleration;
-    const double span = ahead[K_SPAN], two = 2.0 * span, most = c->options[SLOPE_CAP];
+    const double span = ahead->span, two = 2.0 * span, most = c->options->slope_cap;
     double span_before = 0.0, span_after = 0.0;
-    Lines l = lines_of(c, here[K_CAP]);
-    if (here[K_SPAN] > 0.0 && here[K_CORNER] == 0.0) span_before = here[K_SPAN];
-    if (i + 2 < count_ahead(c, COUNT) && ahead[K_CORNER] == 0.0) {
+    Lines l = lines_of(c, here->cap);
+    if (here->span > 0.0 && here->corner == 0.0) span_before = here->span;
+    if (i + 2 < (int)c->ahead->count && ahead->corner == 0.0) {
         after = vector_of(c, c->knot_curvature, i + 2);
-        span_after = knot(c, i + 2)[K_SPAN];
+        span_after = knot(c, i + 2)->span;
     }
     for (int j = 0; j < c->joints; j++) {
         const double C = chord[j], arrival = slope[j] + C * span;
         const double b = span_before > 0.0 ? (before[j] * span + C * span_before) / (span_before + span) : C;
         const double d = span_after > 0.0 ? (C * span_after + after[j] * span) / (span + span_after) : C;
-        const double doubt = c->options[DOUBT] * (fabs(b - C) + fabs(d - C));
+        const double doubt = c->options->doubt * (fabs(b - C) + fabs(d - C));
         const double high = maximum(d, C), low = minimum(d, C);
         add_pair(&l, slope[j], b, C, doubt, a[j], j);
         add_line(&l, two * (doubt + high) + arrival, doubt + high, a[j], j);
         add_line(&l, two * (doubt - low) - arrival, doubt - low, a[j], j);
     }
-    add_line(&l, 1.0, 0.0, minimum(most, minimum(here[K_RISE], ahead[K_RISE])), c->joints);
-    add_line(&l, -1.0, 0.0, minimum(most, minimum(here[K_FALL], ahead[K_FALL])), c->joints);
+    add_line(&l, 1.0, 0.0, minimum(most, minimum(here->rise, ahead->rise)), c->joints);
+    add_line(&l, -1.0, 0.0, minimum(most, minimum(here->fall, ahead->fall)), c->joints);
     add_line(&l, -two, -1.0, 0.0, c->joints);
-    add_line(&l, two, 1.0, ahead[K_SQUARE], c->joints + 1);
+    add_line(&l, two, 1.0, ahead->square, c->joints + 1);
     const double z = largest_z(&l);
-    here[K_SQUARE] = z;
-    here[K_GAIN] = 0.0;
-    here[K_UNTIL] = INFINITY;
+    here->square = z;
+    here->gain = 0.0;
+    here->until = INFINITY;
     const int high = l.high < 0 ? l.still : (int)l.row[l.high], low = l.low < 0 ? -1 : (int)l.row[l.low];
     if (high == c->joints + 1) {
         const double share = l.share[l.low], falls = l.slope[l.low], end = largest_along(&l, z, l.high);
-        here[K_GAIN] = 1.0 / (1.0 - two * falls);
-        here[K_UNTIL] = end + two * (share - falls * end);
+        here->gain = 1.0 / (1.0 - two * falls);
+        here->until = end + two * (share - falls * end);
     }
     return high >= 0 && high < c->joints ? high : low >= 0 && low < c->joints ? low : -1;
 }

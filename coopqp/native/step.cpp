@@ -4,9 +4,9 @@
 #include "minding.h"
 
 static void refuse(Core *c, int reason, int index, double a) {
-    double *p = c->proposal;
-    p[WATCH_CAP] = 0.0, p[HOLD] = 1.0;
-    p[REASON] = reason, p[REASON_ARM] = index, p[REASON_A] = a, p[REASON_B] = 0.0;
+    Proposal *p = c->proposal;
+    p->watch_cap = 0.0, p->hold = 1.0;
+    p->reason = reason, p->reason_arm = index, p->reason_a = a, p->reason_b = 0.0;
 }
 
 /* -- observe --------------------------------------------------------------------------------------------------------- */
@@ -33,7 +33,7 @@ static int believe(Core *c, const double *q, double *positions) {
         }
         if (fabs(positions[j] - x) > worst) worst = fabs(positions[j] - x), joint = j;
     }
-    if (worst > c->options[JOINT_JUMP]) {
+    if (worst > c->options->joint_jump) {
         refuse(c, JUMPED, joint, worst);
         return 0;
     }
@@ -62,14 +62,15 @@ static void hold_here(Core *c) {
 /* The object's error for the path correction: the commanded one plus the further measured error, which fades in slowly.
  * While the arms hold it is 0: the measured error of an arm that does not move would lead the others away without end. */
 static int let_in(Core *c, const double *positions, const double *q) {
-    double *p = c->proposal, commanded[6];
-    const double h = p[DT];
+    Proposal *p = c->proposal;
+    double commanded[6];
+    const double h = p->dt;
     const double corrects = c->minding ? c->minding[CORRECTS] : 1.0; /* arms that mind forces relax first */
-    if (!positions && !((c->loop[DRIFTED] != 0.0 || corrects < 1.0) && p[HOLD] == 0.0)) {
+    if (!positions && !((c->loop->drifted != 0.0 || corrects < 1.0) && p->hold == 0.0)) {
         memset(c->measured, 0, 6 * sizeof(double));
-        return p[HOLD] != 0.0;
+        return p->hold != 0.0;
     }
-    if (p[HAS_ERRORS] == 0.0) return 0;
+    if (p->has_errors == 0.0) return 0;
     common_error(c, c->errors, commanded);
     if (positions) {
         double *carried = c->measured_carried, *away = c->measured_away, found[6];
@@ -78,28 +79,28 @@ static int let_in(Core *c, const double *positions, const double *q) {
         common_error(c, away, found);
         for (int i = 0; i < 6 * c->arms; i++) away[i] -= c->errors[i];
         watch_sample(c, positions, q, away, h);
-        const double fresh = h / (h + c->options[MEASUREMENT_TIME]);
+        const double fresh = h / (h + c->options->measurement_time);
         for (int i = 0; i < 6; i++) c->drift[i] += fresh * (found[i] - commanded[i] - c->drift[i]);
-        c->loop[DRIFTED] = 1.0;
+        c->loop->drifted = 1.0;
     }
-    const double share = p[HOLD] != 0.0 ? 0.0 : corrects * p[WATCH_CAP];
+    const double share = p->hold != 0.0 ? 0.0 : corrects * p->watch_cap;
     for (int i = 0; i < 6; i++) c->measured[i] = share * (commanded[i] + c->drift[i]);
     return 1;
 }
 
 /* An object that touches something goes back, unless something else holds it. Returns whether it does. */
 static int goes_back(Core *c) {
-    const double *p = c->proposal;
+    const Proposal *p = c->proposal;
     double *m = c->minding, common[6], way[3];
     if (!m || m[BACKS] == 0.0 || m[SENSOR_FAULT] != SENSORS_FINE) return 0;
-    const double gain = fmin(c->options[PATH_GAIN], 1.0 / p[DT]);
-    if ((p[HOLD] != 0.0 && p[REASON] != TOUCHING) || !(gain > 0.0) || p[HAS_ERRORS] == 0.0) return 0;
+    const double gain = fmin(c->options->path_gain, 1.0 / p->dt);
+    if ((p->hold != 0.0 && p->reason != TOUCHING) || !(gain > 0.0) || p->has_errors == 0.0) return 0;
     rotate_back(c->R, minding_of(c->arms, m).push + 9, way);
     common_error(c, c->errors, common);
     const double far = dot3(way, common);
     if (isnan(m[BACK_FROM])) m[BACK_FROM] = far;
     const double room = CONTACT_ROOM + CONTACT_WAY * m[BACK_SPEED] - (far - m[BACK_FROM]);
-    const double speed = minimum(m[BACKS], maximum(room, 0.0) / p[DT]);
+    const double speed = minimum(m[BACKS], maximum(room, 0.0) / p->dt);
     for (int i = 0; i < 3; i++) c->measured[i] = -speed / gain * way[i], c->measured[3 + i] = 0.0;
     return 1;
 }
@@ -113,10 +114,10 @@ static double pose_distance(const double *R0, const double *p0, const double *R1
 
 /* The reference pose; of a user's own path also how far it jumps, in this step or since the last. 0 if the path fails. */
 static int ask_for_path(Core *c, double h, double *far) {
-    double R[9], p[3], *away = c->loop + AWAY;
-    if (!path_pose(c, c->loop[CLOCK], c->R, c->p)) return 0;
+    double R[9], p[3], *away = &c->loop->away;
+    if (!path_pose(c, c->loop->clock, c->R, c->p)) return 0;
     if (c->path_numbers[2] != 0.0) return 1;
-    if (!path_pose(c, c->loop[CLOCK] + h, R, p)) return 0;
+    if (!path_pose(c, c->loop->clock + h, R, p)) return 0;
     const double now = pose_distance(c->R, c->p, c->carried, c->carried + 9); /* of the object as the first arm carries it */
     *far = fmax(pose_distance(c->R, c->p, R, p), now - *away);
     if (*far <= FASTEST_PATH * h) *away = now;
@@ -125,58 +126,59 @@ static int ask_for_path(Core *c, double h, double *far) {
 
 /* Take one sample: q as measured (nullptr where commands are followed exactly), the step's length (NaN: nominal). */
 static void observe(Core *c, const double *q, const double *dt) {
-    double *p = c->proposal, *positions = c->measured_positions;
-    const double nominal = c->options[NOMINAL_DT];
-    memset(p, 0, N_PROPOSAL * sizeof(double));
-    p[DT] = nominal, p[WATCH_CAP] = 1.0, p[REASON_ARM] = p[BINDING_ROW] = p[CAP_ARM] = p[CAP_JOINT] = -1.0;
+    Proposal *p = c->proposal;
+    double *positions = c->measured_positions;
+    const double nominal = c->options->nominal_dt;
+    *p = Proposal{};
+    p->dt = nominal, p->watch_cap = 1.0, p->reason_arm = p->binding_row = p->cause.arm = p->cause.joint = -1.0;
     if (dt) {
-        if (*dt >= c->options[DT_LOW] * nominal && *dt <= c->options[DT_HIGH] * nominal)
-            p[DT] = *dt;
+        if (*dt >= c->options->dt_low * nominal && *dt <= c->options->dt_high * nominal)
+            p->dt = *dt;
         else
             refuse(c, BAD_DT, -1, *dt);
     }
     if (q && !believe(c, q, positions)) q = nullptr;
     stay_near(c, c->positions);
     carry(c, c->positions, c->carried);
-    const int was_lost = c->loop[PATH_LOST] == 1.0;
-    c->loop[PATH_LOST] = was_lost ? 2.0 : 0.0; /* 2: found again */
+    const int was_lost = c->loop->path_lost == 1.0;
+    c->loop->path_lost = was_lost ? 2.0 : 0.0; /* 2: found again */
     double far = 0.0;
-    const int known = ask_for_path(c, p[DT], &far);
-    if (!known || far > FASTEST_PATH * p[DT]) {
-        c->loop[PATH_LOST] = 1.0;
-        c->loop[HAS_PREDICTED] = 0.0; /* that was from another reference */
+    const int known = ask_for_path(c, p->dt, &far);
+    if (!known || far > FASTEST_PATH * p->dt) {
+        c->loop->path_lost = 1.0;
+        c->loop->has_predicted = 0.0; /* that was from another reference */
         q = nullptr;
         hold_here(c);
-        refuse(c, known ? PATH_JUMPS : PATH_FAILED, -1, c->loop[CLOCK]);
-        p[REASON_B] = far;
+        refuse(c, known ? PATH_JUMPS : PATH_FAILED, -1, c->loop->clock);
+        p->reason_b = far;
     }
-    if (c->loop[FAULT] != 0.0) {
-        refuse(c, (int)c->loop[FAULT], (int)c->loop[FAULT_ARM], c->loop[FAULT_A]);
-        p[REASON_B] = c->loop[FAULT_B], p[FAULTS] = 1.0;
+    if (c->loop->fault != 0.0) {
+        refuse(c, (int)c->loop->fault, (int)c->loop->fault_arm, c->loop->fault_a);
+        p->reason_b = c->loop->fault_b, p->faults = 1.0;
     }
-    p[HAS_ERRORS] = errors_at(c, c->carried, c->R, c->p, c->errors);
-    if (p[HAS_ERRORS] != 0.0) watch_chain(c);
-    p[HAS_MEASURED] = let_in(c, q ? positions : nullptr, q);
-    if (goes_back(c)) p[HAS_MEASURED] = 1.0;
+    p->has_errors = errors_at(c, c->carried, c->R, c->p, c->errors);
+    if (p->has_errors != 0.0) watch_chain(c);
+    p->has_measured = let_in(c, q ? positions : nullptr, q);
+    if (goes_back(c)) p->has_measured = 1.0;
 }
 
 /* -- propose --------------------------------------------------------------------------------------------------------- */
 
 static void cap_rate(Core *c, double cap, int kind, int arm) {
-    double *p = c->proposal;
-    if (!(cap < p[CAP])) return;
-    p[CAP] = cap, p[CAP_KIND] = kind, p[CAP_ARM] = arm, p[CAP_JOINT] = -1.0;
+    Proposal *p = c->proposal;
+    if (!(cap < p->cap)) return;
+    p->cap = cap, p->cause.kind = kind, p->cause.arm = arm, p->cause.joint = -1.0;
 }
 
 /* The largest rate that the operator asks for. */
-static double rate_asked(const Core *c) { return c->loop[PAUSE] != 0.0 ? 0.0 : c->loop[OVERRIDDEN]; }
+static double rate_asked(const Core *c) { return c->loop->pause != 0.0 ? 0.0 : c->loop->overridden; }
 
 /* The fastest fall of the rate where nothing is known ahead [1/s]: all joints brake together, on a straight path. */
 static double blind_brake(const Core *c) {
     double tightest = 0.0;
     for (int j = 0; j < c->joints; j++)
         tightest = fmax(tightest, fabs(c->velocity[j]) / (BRAKING_SHARE * c->acceleration[j]));
-    return tightest > 0.0 ? c->loop[RATE] / tightest : INFINITY;
+    return tightest > 0.0 ? c->loop->rate / tightest : INFINITY;
 }
 
 static int moves(const Core *c) {
@@ -187,11 +189,11 @@ static int moves(const Core *c) {
 
 /* The largest rate by the override, reached as fast as the joints can follow. */
 static double reined_rate(const Core *c, double h) {
-    const double share = rate_asked(c), rate = c->loop[RATE];
-    double fall = c->options[REIN_SLOPE];
+    const double share = rate_asked(c), rate = c->loop->rate;
+    double fall = c->options->rein_slope;
     if (share >= rate || !moves(c)) return share;
-    if (c->accelerates && c->looks_ahead && c->ahead[COUNT] > 0.0)
-        fall = preview_brake(c, c->loop[CLOCK], h, rate);
+    if (c->accelerates && c->looks_ahead && c->ahead->count > 0.0)
+        fall = preview_brake(c, c->loop->clock, h, rate);
     else if (c->accelerates)
         fall = blind_brake(c);
     return fmax(share, rate - fall * h);
@@ -199,9 +201,9 @@ static double reined_rate(const Core *c, double h) {
 
 /* The null-space motion stops while the object is paused, and goes on after it. */
 static void ease_wishes(Core *c, double h) {
-    double *ease = c->loop + EASE;
-    const double change = c->options[REIN_SLOPE] * h;
-    if (rate_asked(c) < c->options[BLOCKED_RATE])
+    double *ease = &c->loop->ease;
+    const double change = c->options->rein_slope * h;
+    if (rate_asked(c) < c->options->blocked_rate)
         *ease = fmax(*ease - change, 0.0);
     else if (*ease < 1.0)
         *ease = fmin(*ease + change, 1.0);
@@ -209,33 +211,33 @@ static void ease_wishes(Core *c, double h) {
 
 /* The fastest rate that the path ahead, the supervision and the last rate allow, and its cause. */
 static void find_cap(Core *c) {
-    double *p = c->proposal;
-    const double h = p[DT], rate = c->loop[RATE];
-    p[CAP] = 1.0, p[LATE] = 0.0, p[KEEP] = 1.0;
-    if (c->loop[PATH_LOST] == 2.0) {
-        c->loop[PATH_LOST] = 0.0;
-        if (c->looks_ahead) preview_reset(c, c->loop[CLOCK], 1); /* the known horizon is void after the path has failed */
+    Proposal *p = c->proposal;
+    const double h = p->dt, rate = c->loop->rate;
+    p->cap = 1.0, p->late = 0.0, p->keep = 1.0;
+    if (c->loop->path_lost == 2.0) {
+        c->loop->path_lost = 0.0;
+        if (c->looks_ahead) preview_reset(c, c->loop->clock, 1); /* the known horizon is void after the path has failed */
     }
-    if (c->looks_ahead) p[CAP] = preview_cap(c, c->loop[CLOCK], h);
-    if (c->accelerates && (!c->looks_ahead || c->loop[CORRECTING] != 0.0)) {
+    if (c->looks_ahead) p->cap = preview_cap(c, c->loop->clock, h);
+    if (c->accelerates && (!c->looks_ahead || c->loop->correcting != 0.0)) {
         int joint = -1;
-        p[KEEP] = brake_share(c, h, &joint);
-        p[LATE] = p[KEEP] < 1.0;
-        if (p[LATE] != 0.0 && !c->looks_ahead && p[KEEP] * rate < p[CAP]) {
-            cap_rate(c, p[KEEP] * rate, POSITION, arm_of(c, joint));
-            p[CAP_JOINT] = joint;
+        p->keep = brake_share(c, h, &joint);
+        p->late = p->keep < 1.0;
+        if (p->late != 0.0 && !c->looks_ahead && p->keep * rate < p->cap) {
+            cap_rate(c, p->keep * rate, POSITION, arm_of(c, joint));
+            p->cause.joint = joint;
         }
     }
-    const int by_arm = p[REASON] >= OUT_OF_STEP_BY && p[REASON_ARM] >= 0.0; /* else it is an index, or nothing */
-    cap_rate(c, p[WATCH_CAP], by_arm ? OUT_OF_STEP : NONE, by_arm ? (int)p[REASON_ARM] : -1);
-    if (rate < 1.0 && c->options[LOOKS_AHEAD] != 0.0) {
+    const int by_arm = p->reason >= OUT_OF_STEP_BY && p->reason_arm >= 0.0; /* else it is an index, or nothing */
+    cap_rate(c, p->watch_cap, by_arm ? OUT_OF_STEP : NONE, by_arm ? (int)p->reason_arm : -1);
+    if (rate < 1.0 && c->options->looks_ahead != 0.0) {
         int joint = -1;
-        const double most = c->looks_ahead ? preview_rise(c, c->loop[CLOCK], &joint) : INFINITY;
-        const double rise = fmin(c->options[RISE], most);
-        if (rate + rise * h < p[CAP] - RATE_ROUNDING) {
-            const int by_joint = joint >= 0 && !(most > c->options[RISE]);
+        const double most = c->looks_ahead ? preview_rise(c, c->loop->clock, &joint) : INFINITY;
+        const double rise = fmin(c->options->rise, most);
+        if (rate + rise * h < p->cap - RATE_ROUNDING) {
+            const int by_joint = joint >= 0 && !(most > c->options->rise);
             cap_rate(c, rate + rise * h, by_joint ? ACCELERATION : NONE, -1);
-            if (by_joint) p[CAP_JOINT] = joint;
+            if (by_joint) p->cause.joint = joint;
         }
     }
     cap_rate(c, reined_rate(c, h), OVERRIDE, -1);
@@ -243,33 +245,33 @@ static void find_cap(Core *c) {
 
 /* Limit the error that the path correction sees, so that the correction is `keep` of the last one. */
 static void brake_correction(Core *c, double keep) {
-    if (c->proposal[HAS_MEASURED] == 0.0 && c->proposal[HAS_ERRORS] != 0.0)
+    if (c->proposal->has_measured == 0.0 && c->proposal->has_errors != 0.0)
         common_error(c, c->errors, c->measured);
     for (int part = 0; part < 6; part += 3) {
-        const double now = c->options[PATH_GAIN] * sqrt(dot3(c->measured + part, c->measured + part));
+        const double now = c->options->path_gain * sqrt(dot3(c->measured + part, c->measured + part));
         const double last = sqrt(dot3(c->correcting + part, c->correcting + part));
-        const double allowed = c->loop[CORRECTING] != 0.0 ? keep * last : 0.0;
+        const double allowed = c->loop->correcting != 0.0 ? keep * last : 0.0;
         for (int i = part; now > allowed && i < part + 3; i++) c->measured[i] *= allowed / now;
     }
-    c->proposal[HAS_MEASURED] = 1.0;
+    c->proposal->has_measured = 1.0;
 }
 
 /* Joint velocities wished for in the null-space: along the elbows or the preview, or by the posture's rule. */
 static void wish(Core *c) {
     if (c->looks_ahead && led(c)) {
-        elbow_velocity(c, c->loop[CLOCK], c->proposal[SPAN], c->positions, c->null_along);
+        elbow_velocity(c, c->loop->clock, c->proposal->span, c->positions, c->null_along);
         memset(c->null_offset, 0, sizeof(double) * (size_t)c->joints);
     } else if (c->looks_ahead) {
-        preview_reference(c, c->loop[CLOCK], c->null_offset, c->null_along);
+        preview_reference(c, c->loop->clock, c->null_offset, c->null_along);
         for (int j = 0; j < c->joints; j++)
-            c->null_offset[j] = c->options[POSTURE_GAIN] * (c->null_offset[j] - c->positions[j]);
+            c->null_offset[j] = c->options->posture_gain * (c->null_offset[j] - c->positions[j]);
     } else {
         memset(c->null_along, 0, sizeof(double) * (size_t)c->joints);
         posture_velocity(c, c->positions, c->null_offset);
     }
-    if (c->loop[EASE] < 1.0)
-        for (int j = 0; j < c->joints; j++) c->null_offset[j] *= c->loop[EASE];
-    if (c->proposal[HOLD] != 0.0) memset(c->null_offset, 0, sizeof(double) * (size_t)c->joints);
+    if (c->loop->ease < 1.0)
+        for (int j = 0; j < c->joints; j++) c->null_offset[j] *= c->loop->ease;
+    if (c->proposal->hold != 0.0) memset(c->null_offset, 0, sizeof(double) * (size_t)c->joints);
 }
 
 /* Mean twists of the object in a step of velocities v, as each arm carries it, in the world frame about the reference
@@ -315,29 +317,29 @@ static double missed(const Core *c, double h) {
 }
 
 static int settle_qp(Core *c, double cap) {
-    double *p = c->proposal;
-    box(c, p[DT]);
-    const int outside = lead_back(c, p[DT]);
-    p[OUTSIDE] = outside;
+    Proposal *p = c->proposal;
+    box(c, p->dt);
+    const int outside = lead_back(c, p->dt);
+    p->outside = outside;
     if (outside < 0 || !condense(c, cap)) return OPEN;
-    if (c->options[OWN_SOLVER] == 0.0) return FILLED;
+    if (c->options->own_solver == 0.0) return FILLED;
     int soft = 0;
     for (int r = 0; r < c->further_rows; r++) soft |= c->further_soft[r] != 0.0;
     int iterations = solve_condensed(c, cap, 0);
-    p[RELAXED] = 0.0;
-    if (iterations < 0 && soft) iterations = solve_condensed(c, cap, 1), p[RELAXED] = 1.0;
-    p[ITERATIONS] = iterations;
+    p->relaxed = 0.0;
+    if (iterations < 0 && soft) iterations = solve_condensed(c, cap, 1), p->relaxed = 1.0;
+    p->iterations = iterations;
     return iterations >= 0 && read_answer(c, cap) ? QP : OPEN;
 }
 
 /* The ranked answer at one linearisation: nominal, else the fastest rate on the path, else the QP. */
 static int settle(Core *c, double cap) {
-    double *p = c->proposal;
-    const double h = p[DT];
-    p[NEW_RATE] = cap, p[BINDING_ROW] = -1.0, p[BINDINGS] = 0.0;
-    p[GRASP_SHARE] = p[PATH_SHARE] = p[MADE] = 1.0, p[PARTING] = 0.0, p[BRAKED] = 0.0;
+    Proposal *p = c->proposal;
+    const double h = p->dt;
+    p->new_rate = cap, p->binding_row = -1.0, p->bindings = 0.0;
+    p->grasp_share = p->path_share = p->made = 1.0, p->parting = 0.0, p->braked = 0.0;
     memset(c->off_path, 0, 6 * sizeof(double));
-    if (c->options[SHORTCUT] != 0.0 && nominal_command(c, cap)) {
+    if (c->options->shortcut != 0.0 && nominal_command(c, cap)) {
         if (well_inside(c, h) && further_admissible(c, LIMIT_TOLERANCE)) return NOMINAL;
         if (box(c, h)) {
             if (admissible(c) && further_admissible(c, LIMIT_TOLERANCE)) {
@@ -345,7 +347,7 @@ static int settle(Core *c, double cap) {
                 return NOMINAL;
             }
             if (ray(c, cap)) return RAY;
-            p[NEW_RATE] = cap, p[BINDING_ROW] = -1.0;
+            p->new_rate = cap, p->binding_row = -1.0;
         }
     }
     return settle_qp(c, cap);
@@ -354,7 +356,7 @@ static int settle(Core *c, double cap) {
 /* Linearise at the middle of the way that joint velocities make; the middle is in `scratch`. */
 static void linearise_about(Core *c, const double *v) {
     double *middle = c->scratch;
-    for (int j = 0; j < c->joints; j++) middle[j] = c->positions[j] + 0.5 * c->proposal[DT] * v[j];
+    for (int j = 0; j < c->joints; j++) middle[j] = c->positions[j] + 0.5 * c->proposal->dt * v[j];
     carry_and_linearise(c, middle, c->p, nullptr, c->jacobian);
 }
 
@@ -363,7 +365,7 @@ static int answered(int outcome) { return outcome != OPEN && outcome != FILLED; 
 /* Whether one linearisation is not enough for the command. */
 static int long_step(const Core *c) {
     double change = 0.0, fastest = 0.0;
-    const double h = c->proposal[DT];
+    const double h = c->proposal->dt;
     for (int j = 0; j < c->joints; j++) {
         change = fmax(change, fabs(c->command[j] - c->guess[j]));
         fastest = fmax(fastest, fabs(c->command[j]));
@@ -375,7 +377,7 @@ static int long_step(const Core *c) {
  * near singularities a further one may miss more. Where no answer is found the definition does the same with any
  * solver. */
 static int settle_again(Core *c, double cap, int outcome, int least) {
-    const double h = c->proposal[DT];
+    const double h = c->proposal->dt;
     const size_t joints = sizeof(double) * (size_t)c->joints, twists = 6 * sizeof(double) * (size_t)c->arms;
     double smallest = INFINITY;
     for (int done = 0;; done++) {
@@ -408,52 +410,53 @@ static int settle_again(Core *c, double cap, int outcome, int least) {
 
 /* No look-ahead covers the motion: none has one, or arms that give way have left their path. */
 static int brakes_together(const Core *c) {
-    return !c->looks_ahead || (c->options[LEAVES_PATH] != 0.0 && c->accelerates && c->loop[CORRECTING] != 0.0);
+    return !c->looks_ahead || (c->options->leaves_path != 0.0 && c->accelerates && c->loop->correcting != 0.0);
 }
 
 /* The ranked answer under the cap and the further rows; returns an outcome. */
 static int answer(Core *c) {
-    double *p = c->proposal, *start = c->first_guess;
-    const int first = c->loop[FIRST] != 0.0;
+    Proposal *p = c->proposal;
+    double *start = c->first_guess;
+    const int first = c->loop->first != 0.0;
     c->further_rows = c->given_rows;
     if (brakes_together(c)) brake_together(c);
-    p[ROWS] = c->further_rows;
+    p->rows = c->further_rows;
     for (int j = 0; j < c->joints; j++) c->guess[j] = 2.0 * c->velocity[j] - c->before[j];
     linearise_about(c, c->guess);
-    int outcome = settle(c, p[CAP]);
+    int outcome = settle(c, p->cap);
     if (first && !answered(outcome)) outcome = OPEN;
     if (answered(outcome)) {
         const int again = long_step(c);
         if (first) memcpy(start, c->command, sizeof(double) * (size_t)c->joints);
-        if (first || again) outcome = settle_again(c, p[CAP], outcome, again);
+        if (first || again) outcome = settle_again(c, p->cap, outcome, again);
         /* The velocities at the start and the middle of the first step serve as the velocities of two steps. */
         for (int j = 0; first && j < c->joints; j++) c->stand_in[j] = 2.0 * start[j] - c->command[j];
     }
-    return (int)(p[OUTCOME] = outcome);
+    return (int)(p->outcome = outcome);
 }
 
 /* Find the command; returns an outcome. Nothing of the state changes but the preview, which grows. */
 static int propose(Core *c) {
-    double *p = c->proposal;
-    const double h = p[DT], clock = c->loop[CLOCK], rest = c->duration - clock;
-    p[CAP_KIND] = NONE;
+    Proposal *p = c->proposal;
+    const double h = p->dt, clock = c->loop->clock, rest = c->duration - clock;
+    p->cause.kind = NONE;
     find_cap(c);
-    if (p[LATE] != 0.0) brake_correction(c, p[KEEP]);
-    if (rest < h * p[CAP]) p[CAP] = rest / h; /* the last step ends at the end */
+    if (p->late != 0.0) brake_correction(c, p->keep);
+    if (rest < h * p->cap) p->cap = rest / h; /* the last step ends at the end */
     /* The mean along the path has to see a corner that the step may reach. */
-    const int corner = c->looks_ahead && next_breakpoint(c, clock) <= clock + h * p[CAP];
+    const int corner = c->looks_ahead && next_breakpoint(c, clock) <= clock + h * p->cap;
     /* Else at the rate that is expected: it goes on to change as it did. */
-    const double expected = c->loop[RATE] + c->loop[RATE_SLOPE] * h;
-    const double pace = corner ? p[CAP] : fmin(p[CAP], fmax(expected, 0.0));
-    p[SPAN] = fmin(h * fmax(pace, LEAST_PACE), rest);
-    if (c->loop[PATH_LOST] != 0.0 || !path_increment(c, clock, p[SPAN], c->R, c->p, c->along)) {
+    const double expected = c->loop->rate + c->loop->rate_slope * h;
+    const double pace = corner ? p->cap : fmin(p->cap, fmax(expected, 0.0));
+    p->span = fmin(h * fmax(pace, LEAST_PACE), rest);
+    if (c->loop->path_lost != 0.0 || !path_increment(c, clock, p->span, c->R, c->p, c->along)) {
         memset(c->along, 0, 6 * sizeof(double));
-        if (p[WATCH_CAP] > 0.0) refuse(c, PATH_FAILED, -1, clock);
-        p[CAP] = 0.0;
+        if (p->watch_cap > 0.0) refuse(c, PATH_FAILED, -1, clock);
+        p->cap = 0.0;
     }
     if (c->redundant) wish(c);
-    p[ROWS] = c->given_rows;
-    if (p[HAS_ERRORS] == 0.0) return (int)(p[OUTCOME] = OPEN);
+    p->rows = c->given_rows;
+    if (p->has_errors == 0.0) return (int)(p->outcome = OPEN);
     corrections(c, h);
     return answer(c);
 }
@@ -462,24 +465,24 @@ static int propose(Core *c) {
 
 /* Entries of the record: what binds the step. Returns whether a position, an acceleration limit is among them. */
 static void write_bindings(Core *c, double *entries, int *position, int *acceleration) {
-    const double *p = c->proposal;
+    const Proposal *p = c->proposal;
     const int most = c->joints + c->rows;
     int count = 0;
-    const int rows = p[OUTCOME] == RAY && p[BINDING_ROW] >= 0.0 ? 1 : (int)p[BINDINGS];
+    const int rows = p->outcome == RAY && p->binding_row >= 0.0 ? 1 : (int)p->bindings;
     for (int i = 0; i < rows && count < most; i++, count++) {
-        const int single = p[OUTCOME] == RAY, row = (int)(single ? p[BINDING_ROW] : c->bindings[2 * i]);
-        const double side = single ? p[BINDING_SIDE] : c->bindings[2 * i + 1];
+        const int single = p->outcome == RAY, row = (int)(single ? p->binding_row : c->bindings[2 * i]);
+        const double side = single ? p->binding_side : c->bindings[2 * i + 1];
         const int joint = row < c->joints;
-        entries[4 * count] = joint ? kind_of(c, row, side, p[DT]) : CONSTRAINT;
+        entries[4 * count] = joint ? kind_of(c, row, side, p->dt) : CONSTRAINT;
         entries[4 * count + 1] = -1.0;
         entries[4 * count + 2] = joint ? row : -1.0;
         entries[4 * count + 3] = joint ? -1.0 : c->further_owner[row - c->joints];
         if (!joint && c->further_owner[row - c->joints] < 0.0)
             name_brake(c, (int)(-1.0 - c->further_owner[row - c->joints]), entries + 4 * count);
     }
-    if (!count && p[CAP_KIND] != NONE) {
-        const int own = p[CAP_KIND] == CONSTRAINT;
-        const double cap[4] = {p[CAP_KIND], p[CAP_ARM], own ? -1.0 : p[CAP_JOINT], own ? p[CAP_JOINT] : -1.0};
+    if (!count && p->cause.kind != NONE) {
+        const int own = p->cause.kind == CONSTRAINT;
+        const double cap[4] = {p->cause.kind, p->cause.arm, own ? -1.0 : p->cause.joint, own ? p->cause.joint : -1.0};
         memcpy(entries, cap, sizeof cap);
         count = 1;
     }
@@ -488,35 +491,35 @@ static void write_bindings(Core *c, double *entries, int *position, int *acceler
         *position |= entries[4 * i] == POSITION;
         *acceleration |= entries[4 * i] == ACCELERATION;
     }
-    c->record[R_BINDINGS] = count;
+    c->record->bindings = count;
 }
 
 static int slow_status(const Core *c, double rate, int position, int acceleration) {
-    const int rising = rate > c->loop[RATE] + RATE_ROUNDING, outside = any_outside(c);
-    const int ends = position || (c->looks_ahead && c->ahead[ENDS] != 0.0);
+    const int rising = rate > c->loop->rate + RATE_ROUNDING, outside = any_outside(c);
+    const int ends = position || (c->looks_ahead && c->ahead->ends != 0.0);
     const int arriving = ends && !rising && !outside;
-    if (rate >= c->options[BLOCKED_RATE] * (arriving ? ARRIVING : 1.0)) return SLOWED;
+    if (rate >= c->options->blocked_rate * (arriving ? ARRIVING : 1.0)) return SLOWED;
     /* The bound on its rise, or a part of the path that is not yet seen, keeps the rate small without a limit. From rest
      * accelerations do: the rate then grows, or a joint is on its way back in. A rate that is small at a corner grows
      * again after it. */
-    const double clock = c->loop[CLOCK], dt = c->options[NOMINAL_DT];
+    const double clock = c->loop->clock, dt = c->options->nominal_dt;
     if (c->looks_ahead && !ends && rate > 0.0 && next_breakpoint(c, clock - dt) <= clock + dt) return SLOWED;
-    return c->record[R_BINDINGS] == 0.0 || (acceleration && (rising || outside)) ? SLOWED : BLOCKED;
+    return c->record->bindings == 0.0 || (acceleration && (rising || outside)) ? SLOWED : BLOCKED;
 }
 
 /* The status that a step alone would say, or that of the last step, which lasts a moment. */
 static int lasting(Core *c, int found, double rate) {
-    const double h = c->proposal[DT], last = c->loop[SAID];
+    const double h = c->proposal->dt, last = c->loop->said;
     double more = 0.0, most = 0.0;
-    if (last == BLOCKED && found == SLOWED && c->record[R_BINDINGS] > 0.0)
+    if (last == BLOCKED && found == SLOWED && c->record->bindings > 0.0)
         more = rate * h, most = STILL_BLOCKED;
     else if (last == SLOWED && found == TRACKING && !c->looks_ahead)
         more = h, most = STILL_SLOWED;
-    if (more > 0.0 && c->loop[OUTDATED] + more <= most) {
-        c->loop[OUTDATED] += more;
+    if (more > 0.0 && c->loop->outdated + more <= most) {
+        c->loop->outdated += more;
         return last == BLOCKED ? BLOCKED : SLOWED;
     }
-    if (last != BLOCKED || found != BLOCKED) c->loop[OUTDATED] = 0.0;
+    if (last != BLOCKED || found != BLOCKED) c->loop->outdated = 0.0;
     return found;
 }
 
@@ -524,8 +527,8 @@ static int lasting(Core *c, int found, double rate) {
 static int off_its_path(const Core *c, double *distance, double *angle) {
     double e[6];
     common_error(c, c->errors, e);
-    for (int i = 0; i < 6 && c->loop[DRIFTED] != 0.0; i++) e[i] += c->drift[i];
-    const double far = c->options[OFF_PATH_DISTANCE], wide = c->options[OFF_PATH_ANGLE];
+    for (int i = 0; i < 6 && c->loop->drifted != 0.0; i++) e[i] += c->drift[i];
+    const double far = c->options->off_path_distance, wide = c->options->off_path_angle;
     double R[9], shift[3]; /* at most as long as the twist's */
     if (!(dot3(e, e) > far * far) && !(dot3(e + 3, e + 3) > wide * wide)) return 0;
     exp6(e, R, shift);
@@ -544,34 +547,35 @@ static int rests(const Core *c) {
 static void bind_override(Core *c, double *entries) {
     static const double by_override[4] = {OVERRIDE, -1.0, -1.0, -1.0};
     memcpy(entries, by_override, sizeof by_override);
-    c->record[R_BINDINGS] = 1.0;
+    c->record->bindings = 1.0;
 }
 
 /* Set the start of the next step. */
 static void move_on(Core *c, double rate, double clock_next) {
-    const double *p = c->proposal, h = p[DT];
-    const int by_qp = p[OUTCOME] == QP;
+    const Proposal *p = c->proposal;
+    const double h = p->dt;
+    const int by_qp = p->outcome == QP;
     double twist[6], square = 0.0;
     for (int i = 0; i < 6; i++) {
-        twist[i] = p[PATH_SHARE] * c->path[i] + c->off_path[i];
+        twist[i] = p->path_share * c->path[i] + c->off_path[i];
         square += twist[i] * twist[i];
     }
     for (int k = 0; k < c->arms; k++)
         for (int i = 0; i < 6; i++)
             c->predicted[6 * k + i] =
-                c->errors[6 * k + i] + h * (p[GRASP_SHARE] * c->grasp[6 * k + i] + c->offsets[6 * k + i] + twist[i]);
+                c->errors[6 * k + i] + h * (p->grasp_share * c->grasp[6 * k + i] + c->offsets[6 * k + i] + twist[i]);
     if (by_qp || c->accelerates) {
-        c->loop[CORRECTING] = square > NEGLIGIBLE;
+        c->loop->correcting = square > NEGLIGIBLE;
         memcpy(c->correcting, twist, sizeof twist);
     }
     memcpy(c->foreseen, c->foresees, 6 * sizeof(double) * (size_t)c->arms);
-    const double *before = c->loop[FIRST] != 0.0 ? c->stand_in : c->velocity;
+    const double *before = c->loop->first != 0.0 ? c->stand_in : c->velocity;
     memmove(c->before, before, sizeof(double) * (size_t)c->joints);
     memcpy(c->velocity, c->command, sizeof(double) * (size_t)c->joints);
     for (int j = 0; j < c->joints; j++) c->positions[j] += h * c->command[j];
-    c->loop[HAS_PREDICTED] = p[PARTING] == 0.0 && p[BRAKED] == 0.0 && c->loop[PATH_LOST] == 0.0;
-    c->loop[RATE_SLOPE] = (rate - c->loop[RATE]) / h;
-    c->loop[LAST_DT] = h, c->loop[CLOCK] = clock_next, c->loop[RATE] = rate, c->loop[FIRST] = 0.0;
+    c->loop->has_predicted = p->parting == 0.0 && p->braked == 0.0 && c->loop->path_lost == 0.0;
+    c->loop->rate_slope = (rate - c->loop->rate) / h;
+    c->loop->last_dt = h, c->loop->clock = clock_next, c->loop->rate = rate, c->loop->first = 0.0;
 }
 
 static void write_configuration(const Core *c, double *q) {
@@ -584,44 +588,45 @@ static void write_configuration(const Core *c, double *q) {
 
 /* Move the state by the proposed command, and write the record. Returns the status. */
 static int commit(Core *c) {
-    double *p = c->proposal, *r = c->record;
-    double *q = r + N_RECORD, *velocity = q + c->nq, *q_next = velocity + c->joints, *off_path = q_next + c->nq;
-    const double h = p[DT], clock = c->loop[CLOCK], rate = clamp(p[NEW_RATE], 0.0, 1.0);
+    Proposal *p = c->proposal;
+    Record *r = c->record;
+    double *q = vectors_of(r), *velocity = q + c->nq, *q_next = velocity + c->joints, *off_path = q_next + c->nq;
+    const double h = p->dt, clock = c->loop->clock, rate = clamp(p->new_rate, 0.0, 1.0);
     double clock_next = clock + rate * h;
     if (c->duration - clock_next < 1e-9 * c->duration) clock_next = c->duration;
     /* the last step needs the full rate */
-    const double share = rate >= 1.0 || (clock_next >= c->duration && p[HOLD] == 0.0) ? 1.0 : rate;
+    const double share = rate >= 1.0 || (clock_next >= c->duration && p->hold == 0.0) ? 1.0 : rate;
     int position, acceleration, status = TRACKING;
     write_bindings(c, off_path + 6, &position, &acceleration);
     if (share <= 1.0 - 1e-6) status = slow_status(c, share, position, acceleration);
     status = lasting(c, status, share);
-    if (rate_asked(c) < c->options[BLOCKED_RATE] && share < c->options[BLOCKED_RATE]) {
+    if (rate_asked(c) < c->options->blocked_rate && share < c->options->blocked_rate) {
         status = rests(c) ? PAUSED : SLOWED;
-        if (r[R_BINDINGS] == 0.0) bind_override(c, off_path + 6);
+        if (r->bindings == 0.0) bind_override(c, off_path + 6);
     }
-    r[R_AWAY] = r[R_TURNED] = 0.0, r[R_MEASURED] = c->loop[DRIFTED];
-    if (p[HOLD] != 0.0 || p[BRAKED] != 0.0)
+    r->away = r->turned = 0.0, r->measured = c->loop->drifted;
+    if (p->hold != 0.0 || p->braked != 0.0)
         status = HOLDING;
-    else if (off_its_path(c, r + R_AWAY, r + R_TURNED))
+    else if (off_its_path(c, &r->away, &r->turned))
         status = OFF_PATH;
     else if (status == PAUSED)
         bind_override(c, off_path + 6); /* before any other reason to stop */
-    if (p[HOLD] != 0.0 && p[FAULTS] != 0.0) {
+    if (p->hold != 0.0 && p->faults != 0.0) {
         status = FAULTED;
-        if (c->loop[FAULT] == 0.0)
-            c->loop[FAULT] = p[REASON], c->loop[FAULT_ARM] = p[REASON_ARM], c->loop[FAULT_A] = p[REASON_A],
-            c->loop[FAULT_B] = p[REASON_B];
+        if (c->loop->fault == 0.0)
+            c->loop->fault = p->reason, c->loop->fault_arm = p->reason_arm, c->loop->fault_a = p->reason_a,
+            c->loop->fault_b = p->reason_b;
     }
-    if (status == TRACKING && p[OUTCOME] != QP) r[R_BINDINGS] = 0.0;
+    if (status == TRACKING && p->outcome != QP) r->bindings = 0.0;
     const int stopped = status == SLOWED || status == BLOCKED;
-    for (int i = 0; i < (int)r[R_BINDINGS] && stopped && p[REASON] == NO_REASON; i++)
-        if (off_path[6 + 4 * i] == PATH_JUMP && c->ahead[JUMP_BY] != 0.0)
-            p[REASON] = PATH_JUMPS, p[REASON_A] = c->ahead[JUMP_AT], p[REASON_B] = c->ahead[JUMP_BY];
-    c->loop[SAID] = status;
-    r[R_DT] = h, r[R_CLOCK] = clock, r[R_CLOCK_NEXT] = clock_next, r[R_RATE] = share, r[R_STATUS] = status;
-    r[R_REASON] = p[REASON], r[R_REASON_ARM] = p[REASON_ARM], r[R_REASON_A] = p[REASON_A], r[R_REASON_B] = p[REASON_B];
-    r[R_GRASP_SHARE] = p[GRASP_SHARE], r[R_PATH_SHARE] = p[PATH_SHARE], r[R_PARTING] = p[PARTING];
-    r[R_OUTCOME] = p[OUTCOME], r[R_ITERATIONS] = p[ITERATIONS], r[R_APART] = p[APART];
+    for (int i = 0; i < (int)r->bindings && stopped && p->reason == NO_REASON; i++)
+        if (off_path[6 + 4 * i] == PATH_JUMP && c->ahead->jump_by != 0.0)
+            p->reason = PATH_JUMPS, p->reason_a = c->ahead->jump_at, p->reason_b = c->ahead->jump_by;
+    c->loop->said = status;
+    r->dt = h, r->clock = clock, r->clock_next = clock_next, r->rate = share, r->status = status;
+    r->reason = p->reason, r->reason_arm = p->reason_arm, r->reason_a = p->reason_a, r->reason_b = p->reason_b;
+    r->grasp_share = p->grasp_share, r->path_share = p->path_share, r->parting = p->parting;
+    r->outcome = p->outcome, r->iterations = p->iterations, r->apart = p->apart;
     memcpy(off_path, c->off_path, 6 * sizeof(double));
     memcpy(velocity, c->command, sizeof(double) * (size_t)c->joints);
     write_configuration(c, q);
@@ -636,26 +641,26 @@ static int commit(Core *c) {
 
 /* Start along a path at `clock`. */
 static void start_path(Core *c, double clock, double rate) {
-    c->loop[CLOCK] = clock, c->loop[FIRST] = 1.0, c->loop[HAS_PREDICTED] = 0.0;
-    c->loop[RATE] = rate, c->loop[RATE_SLOPE] = 0.0;
+    c->loop->clock = clock, c->loop->first = 1.0, c->loop->has_predicted = 0.0;
+    c->loop->rate = rate, c->loop->rate_slope = 0.0;
     stay_near(c, c->positions); /* so that a restart repeats to the last bit */
-    c->loop[AWAY] = INFINITY;
-    c->loop[SAID] = TRACKING;
+    c->loop->away = INFINITY;
+    c->loop->said = TRACKING;
     if (c->looks_ahead) preview_reset(c, clock, 0);
 }
 
 /* Start at rest at `positions`. */
 static void start(Core *c, const double *positions) {
     const size_t size = sizeof(double) * (size_t)c->joints;
-    const double override = c->loop[OVERRIDDEN], pause = c->loop[PAUSE]; /* a start ends neither */
-    memset(c->loop, 0, N_LOOP * sizeof(double));
-    c->loop[OVERRIDDEN] = override, c->loop[PAUSE] = pause;
-    c->loop[EASE] = rate_asked(c) < c->options[BLOCKED_RATE] ? 0.0 : 1.0;
+    const double override = c->loop->overridden, pause = c->loop->pause; /* a start ends neither */
+    *c->loop = Loop{};
+    c->loop->overridden = override, c->loop->pause = pause;
+    c->loop->ease = rate_asked(c) < c->options->blocked_rate ? 0.0 : 1.0;
     memmove(c->positions, positions, size);
     memset(c->velocity, 0, size);
     memset(c->before, 0, size);
     memset(c->drift, 0, 6 * sizeof(double));
     memset(c->correcting, 0, 6 * sizeof(double));
-    c->loop[LAST_DT] = c->options[NOMINAL_DT];
+    c->loop->last_dt = c->options->nominal_dt;
     watch_reset(c);
 }

@@ -11,8 +11,6 @@
 #include "minding.h"
 #include "spatial.h"
 
-#define FIELDS_IN_ALL (CONFIG_FIELDS + STATE_FIELDS + WORK_FIELDS)
-
 /* The best arithmetic that this processor can do. */
 static const Arithmetic *best() {
 #ifdef HAS_AVX2_ARITHMETIC
@@ -29,7 +27,7 @@ enum {
     OBJECTS
 };
 
-struct Loop : Core {
+struct BoundCore : Core {
     const Arithmetic *can = nullptr;
     Out memory[3];               /* the blocks */
     In path_array;               /* numbers of the path; or of the way to a new target: */
@@ -47,12 +45,12 @@ struct Loop : Core {
     Guards guards = {};
 #endif
 
-    Loop() : Core{} {}
+    BoundCore() : Core{} {}
 };
 
 using Maybe = std::optional<nb::object>; /* None, too */
 
-static Loop *loop_of(Core *c) { return static_cast<Loop *>(c); }
+static BoundCore *loop_of(Core *c) { return static_cast<BoundCore *>(c); }
 
 #ifdef GUARDED
 static Guards *guards_of(const Core *c) { return &loop_of(const_cast<Core *>(c))->guards; }
@@ -63,21 +61,27 @@ static Guards *guards_of(const Core *c) { return &loop_of(const_cast<Core *>(c))
 using Places = std::vector<std::pair<Py_ssize_t, Py_ssize_t>>;
 
 /* Find every field in the blocks; false if they do not fit. */
-static bool place_fields(Loop *self, const Places &places) {
-    static const int fields[3] = {CONFIG_FIELDS, STATE_FIELDS, WORK_FIELDS};
-    double **field = reinterpret_cast<double **>(static_cast<Core *>(self)); /* FIELDS stand first */
-    if (places.size() != FIELDS_IN_ALL) return false;
+static bool place_fields(BoundCore *self, const Places &places) {
     size_t i = 0;
-    for (int block = 0; block < 3; block++)
-        for (int n = 0; n < fields[block]; n++, i++) {
-            const auto [begin, end] = places[i];
-            if (begin < 0 || end < begin || end > self->memory[block].size - GAP) return false;
-            field[i] = self->memory[block].data + begin;
+    bool good = places.size() == FIELDS_IN_ALL;
+    const auto place = [&](const Out &memory) -> double * {
+        if (!good) return nullptr;
+        const auto [begin, end] = places[i];
+        good = begin >= 0 && end >= begin && end <= memory.size - GAP;
 #ifdef GUARDED
-            self->guards.end[i] = self->memory[block].data + end;
+        if (good) self->guards.end[i] = memory.data + end;
 #endif
-        }
-    return true;
+        i++;
+        return memory.data + begin;
+    };
+#define PLACE_IN(block, type, name) self->name = reinterpret_cast<type *>(place(self->memory[block]));
+#define PLACE_CONFIG(type, name) PLACE_IN(0, type, name)
+#define PLACE_STATE(type, name) PLACE_IN(1, type, name)
+#define PLACE_WORK(type, name) PLACE_IN(2, type, name)
+    CONFIG_FIELDS(PLACE_CONFIG)
+    STATE_FIELDS(PLACE_STATE)
+    WORK_FIELDS(PLACE_WORK)
+    return good;
 }
 
 /* Whether the arms' joints lie inside the vectors, and there are as many unknowns as they make. */
@@ -97,16 +101,16 @@ static bool consistent(Core *c) {
     return unknowns == c->unknowns;
 }
 
-static void build(Loop *self, Out &config, Out &state, Out &work, const Places &places, int arms, int joints, int nq,
+static void build(BoundCore *self, Out &config, Out &state, Out &work, const Places &places, int arms, int joints, int nq,
                   int unknowns, int past, int rows, bool plain_arithmetic) {
     static const double nowhere[3] = {1.0, 0.0, 0.0};
-    new (self) Loop();
+    new (self) BoundCore();
     self->memory[0] = std::move(config), self->memory[1] = std::move(state), self->memory[2] = std::move(work);
     self->arms = arms, self->joints = joints, self->nq = nq;
     self->unknowns = unknowns, self->past = past, self->rows = rows;
     if (arms < 1 || joints < 6 || nq < joints || past < 1 || rows < 0 || !place_fields(self, places) ||
         !consistent(self)) {
-        self->~Loop();
+        self->~BoundCore();
         throw nb::value_error("the memory does not fit together");
     }
     self->duration = 1.0, self->path_numbers = nowhere;
@@ -117,13 +121,13 @@ static void build(Loop *self, Out &config, Out &state, Out &work, const Places &
 static int traverse(PyObject *object, visitproc visit, void *arg) {
     Py_VISIT(Py_TYPE(object));
     if (!nb::inst_ready(object)) return 0;
-    for (nb::object &held : nb::inst_ptr<Loop>(object)->objects) Py_VISIT(held.ptr());
+    for (nb::object &held : nb::inst_ptr<BoundCore>(object)->objects) Py_VISIT(held.ptr());
     return 0;
 }
 
 static int clear(PyObject *object) {
     if (!nb::inst_ready(object)) return 0;
-    Loop *self = nb::inst_ptr<Loop>(object);
+    BoundCore *self = nb::inst_ptr<BoundCore>(object);
     self->own_path = nullptr, self->bound_knot = nullptr, self->evade = nullptr, self->survey_ahead = nullptr;
     for (nb::object &held : self->objects) held.reset();
     return 0;
@@ -135,7 +139,7 @@ static int clear(PyObject *object) {
  * After an interrupt nothing more is asked, and the call that the core is in raises it. What else is raised is dropped
  * where a number is asked for, as the definition asks again; else it is printed. */
 template <typename... Args>
-static long asked(Loop *self, int which, bool yes_or_no, Args... args) {
+static long asked(BoundCore *self, int which, bool yes_or_no, Args... args) {
     const nb::object &function = self->objects[which];
     if (self->interrupt || !function.is_valid()) return -1;
     try {
@@ -162,7 +166,7 @@ static int filled_in(Core *c, int which, Args... args) {
 }
 
 /* A call has to end with an interrupt. */
-static void raise_interrupt(Loop *self) {
+static void raise_interrupt(BoundCore *self) {
     if (!self->interrupt) return;
     nb::python_error error(std::move(*self->interrupt));
     self->interrupt.reset();
@@ -180,19 +184,19 @@ static int ask_evasion(Core *c) { return filled_in(c, EVADE); }
 static int ask_survey(Core *c) { return filled_in(c, SURVEY_AHEAD); }
 
 /* Hold an object, or none. */
-static bool hold_object(Loop &self, int which, const Maybe &given) {
+static bool hold_object(BoundCore &self, int which, const Maybe &given) {
     self.objects[which] = given.value_or(nb::object());
     return given.has_value();
 }
 
 /* set_path(numbers, own, pose, duration, looks_ahead, users): own(clock, twist) writes into pose. */
-static void set_path(Loop &self, In &numbers, const Maybe &own, Out &pose, double duration, bool looks_ahead,
+static void set_path(BoundCore &self, In &numbers, const Maybe &own, Out &pose, double duration, bool looks_ahead,
                      bool users) {
     const double *found = numbers.data;
     const bool asks = own.has_value();
     check_fit(numbers.size >= 3 && found[1] >= 0 && found[1] < 1e6 && found[2] >= (asks ? 0 : 1) && found[2] < 1e6 &&
                   numbers.size >= 3 + (Py_ssize_t)found[1] + SEGMENT * (Py_ssize_t)found[2] +
-                                      (Py_ssize_t)self.options[ELBOWS] * (1 + 2 * self.joints),
+                                      (Py_ssize_t)self.options->elbows * (1 + 2 * self.joints),
               "the numbers are no path");
     check_fit(pose.size == 12, "a pose has 12 numbers");
     self.path_array = std::move(numbers), self.pose_array = std::move(pose);
@@ -201,7 +205,7 @@ static void set_path(Loop &self, In &numbers, const Maybe &own, Out &pose, doubl
     self.duration = duration, self.looks_ahead = looks_ahead, self.users_path = users;
 }
 
-static void make_steps(Loop &self, const nb::type_object &type, const Maybe &context, const nb::tuple &statuses) {
+static void make_steps(BoundCore &self, const nb::type_object &type, const Maybe &context, const nb::tuple &statuses) {
     check_fit(statuses.size() >= N_STATUSES, "a status is missing");
     self.objects[STEP_TYPE] = type, self.objects[STATUSES] = statuses;
     self.objects[CONTEXT] = context.value_or(nb::none());
@@ -211,7 +215,7 @@ static void make_steps(Loop &self, const nb::type_object &type, const Maybe &con
 
 /* One sample: q (or none) and dt, any object: without one it is the nominal one, and what is no number is a NaN, which is
  * refused with its reason. */
-static void observe(Loop *self, const InOrNone &q, const Maybe &dt) {
+static void observe(BoundCore *self, const InOrNone &q, const Maybe &dt) {
     double length = NAN;
     check_fit(!q.data || q.size == self->nq, "expected an array of float64 of the right length");
     if (dt && !nb::try_cast(*dt, length)) length = NAN;
@@ -228,9 +232,9 @@ static void set_past_class(nb::handle object, PyObject *name, nb::handle value) 
 }
 
 /* A ControlStep from the record; its numbers as bytes where there is no such class. */
-static nb::object make_step(Loop *self, int status) {
-    const Py_ssize_t count = N_RECORD + 2 * self->nq + self->joints + 6 + 4 * (Py_ssize_t)self->record[R_BINDINGS];
-    nb::bytes record(self->record, (size_t)count * sizeof(double));
+static nb::object make_step(BoundCore *self, int status) {
+    const Py_ssize_t count = (Py_ssize_t)sizeof(Record) / 8 + 2 * self->nq + self->joints + 6 + 4 * (Py_ssize_t)self->record->bindings;
+    nb::bytes record((const void *)self->record, (size_t)count * sizeof(double));
     nb::handle type = self->objects[STEP_TYPE];
     if (!type) return record;
     nb::object step = nb::steal(PyType_GenericAlloc((PyTypeObject *)type.ptr(), 0));
@@ -238,12 +242,12 @@ static nb::object make_step(Loop *self, int status) {
     set_past_class(step, record_name, record);
     set_past_class(step, context_name, self->objects[CONTEXT]);
     set_past_class(step, status_name, PyTuple_GetItem(self->objects[STATUSES].ptr(), status));
-    set_past_class(step, rate_name, nb::float_(self->record[R_RATE]));
+    set_past_class(step, rate_name, nb::float_(self->record->rate));
     return step;
 }
 
 /* One thread at a time; the one that already works here may enter again. Other threads get a BusyError. */
-static void enter(Loop *self) {
+static void enter(BoundCore *self) {
     const unsigned long me = PyThread_get_thread_ident();
     if (self->busy && self->busy != me) {
         PyErr_SetNone(nb::module_::import_("coopqp.errors").attr("BusyError").ptr());
@@ -254,15 +258,15 @@ static void enter(Loop *self) {
     self->handed = false;
 }
 
-static void leave(Loop *self) {
+static void leave(BoundCore *self) {
     if (self->entered > 0) self->entered--;
     if (!self->entered) self->busy = 0;
 }
 
 /* The thread that steps works here as long as this lives, and on where a step is left open. */
 struct Stepping {
-    Loop *loop;
-    explicit Stepping(Loop *self) : loop(self) { enter(self), self->stepper = self->busy; }
+    BoundCore *loop;
+    explicit Stepping(BoundCore *self) : loop(self) { enter(self), self->stepper = self->busy; }
     ~Stepping() {
         if (!loop->handed) leave(loop);
     }
@@ -273,7 +277,7 @@ static long most_given(const Core *c) { return c->rows - (1 + c->arms + c->joint
 
 /* The outcome with all further rows, tightened if the command breaks their constraints; ASK where the definition
  * has to say. */
-static int answer_with_rows(Loop *self) {
+static int answer_with_rows(BoundCore *self) {
     const long rows = asked(self, FURTHER_ROWS, false, self->looks_ahead == 0);
     if (rows < 0 || rows > most_given(self)) return ASK;
     self->given_rows = (int)rows;
@@ -288,28 +292,28 @@ static int answer_with_rows(Loop *self) {
 }
 
 /* The step for the observed sample. None if the answer is left open: then a call that finishes it has to follow. */
-static nb::object command(Loop *self) {
+static nb::object command(BoundCore *self) {
     self->given_rows = 0;
     int outcome = self->can->propose(self);
-    bool asks = self->options[CERTIFIED] != 0.0 && (outcome >= FILLED || !self->can->quiet(self));
+    bool asks = self->options->certified != 0.0 && (outcome >= FILLED || !self->can->quiet(self));
     if (asks && outcome < FILLED)
         asks = asked(self, CLEAR, false, self->looks_ahead == 0) != 1; /* no row can bind */
     else if (!asks)
         asked(self, SURVEY_HERE, false);
-    if (asks && !self->interrupt) self->proposal[OUTCOME] = outcome = answer_with_rows(self);
+    if (asks && !self->interrupt) self->proposal->outcome = outcome = answer_with_rows(self);
     raise_interrupt(self);
     if (outcome < FILLED) return make_step(self, self->can->commit(self));
     self->handed = true;
     return nb::none();
 }
 
-static nb::object step(Loop &self, const InOrNone &q, const Maybe &dt) {
+static nb::object step(BoundCore &self, const InOrNone &q, const Maybe &dt) {
     Stepping here(&self);
     observe(&self, q, dt);
     return command(&self);
 }
 
-static int propose(Loop &self, long rows, bool again) {
+static int propose(BoundCore &self, long rows, bool again) {
     check_fit(rows >= 0 && rows <= most_given(&self), "there is no room for so many rows");
     self.given_rows = (int)rows;
     const int outcome = again ? self.can->answer(&self) : self.can->propose(&self);
@@ -318,13 +322,13 @@ static int propose(Loop &self, long rows, bool again) {
 }
 
 /* Steps without Python in between, to time the core alone; stops where a step is open. Returns how many were done. */
-static Py_ssize_t advance(Loop &self, Py_ssize_t steps, const InOrNone &q) {
+static Py_ssize_t advance(BoundCore &self, Py_ssize_t steps, const InOrNone &q) {
     Py_ssize_t done = 0;
     check_fit(!q.data || q.size == self.nq);
     for (; done < steps; done++) {
         self.can->observe(&self, q.data, nullptr);
         if (self.can->propose(&self) >= FILLED || self.interrupt) break;
-        if (self.options[CERTIFIED] != 0.0 && !self.can->quiet(&self)) break;
+        if (self.options->certified != 0.0 && !self.can->quiet(&self)) break;
         self.can->commit(&self);
     }
     raise_interrupt(&self);
@@ -332,7 +336,7 @@ static Py_ssize_t advance(Loop &self, Py_ssize_t steps, const InOrNone &q) {
 }
 
 /* go_over(goal, numbers, speed, spin, full): 1 if the way in `numbers` is taken from now on; see core.h. */
-static int go_over(Loop &self, const In &goal, Out &numbers, double speed, double spin, double full) {
+static int go_over(BoundCore &self, const In &goal, Out &numbers, double speed, double spin, double full) {
     check_fit(goal.size == 12 && numbers.size == 4 + SEGMENT);
     const double *present = self.path_numbers;
     const int found = self.can->go_over(&self, goal.data, speed, spin, full, numbers.data);
@@ -345,7 +349,7 @@ static int go_over(Loop &self, const In &goal, Out &numbers, double speed, doubl
 }
 
 /* linearise(positions, about, carried, jacobian): kinematics into the caller's arrays. */
-static void linearise(Loop &self, const In &positions, const In &about, Out &carried, Out &jacobian) {
+static void linearise(BoundCore &self, const In &positions, const In &about, Out &carried, Out &jacobian) {
     check_fit(positions.size == self.joints && about.size == 3 && carried.size == 12 * self.arms &&
                   jacobian.size == 6 * self.joints,
               "expected arrays of the right length");
@@ -370,7 +374,7 @@ static bool move_grasp(Core *c, const double *places, const double *shift) {
     return true;
 }
 
-static bool shift_grasp(Loop &self, const In &places, const In &shift) {
+static bool shift_grasp(BoundCore &self, const In &places, const In &shift) {
     check_fit(places.size == 12 * self.arms && shift.size == 6 * self.arms);
     return move_grasp(&self, places.data, shift.data);
 }
@@ -389,7 +393,7 @@ static void check_minding(const Out &memory, long arms) {
 }
 
 /* bind_minding(memory, places, tell): for step_minding; tell(step) puts words into it. */
-static void bind_minding(Loop &self, nb::object memory, In &places, nb::object tell) {
+static void bind_minding(BoundCore &self, nb::object memory, In &places, nb::object tell) {
     Out forces;
     if (!forces.take(memory.ptr())) throw nb::type_error("expected an array of float64");
     check_minding(forces, self.arms);
@@ -401,10 +405,10 @@ static void bind_minding(Loop &self, nb::object memory, In &places, nb::object t
 
 /* The length of a step for the relaxation of forces: a dt that observe() refuses counts as the nominal one. */
 static double length_of(const Core *c, const Maybe &dt) {
-    const double nominal = c->options[NOMINAL_DT];
+    const double nominal = c->options->nominal_dt;
     double length = NAN;
     if (!dt || !nb::try_cast(*dt, length)) return nominal;
-    return length >= c->options[DT_LOW] * nominal && length <= c->options[DT_HIGH] * nominal ? length : nominal;
+    return length >= c->options->dt_low * nominal && length <= c->options->dt_high * nominal ? length : nominal;
 }
 
 /* Largest size of n velocities. */
@@ -417,7 +421,7 @@ static double fastest(int n, const double *velocity) {
 /* step_minding(memory, q, dt, wrenches): a step of a controller that minds forces: the grasps move, the object is as fast
  * as forces let it be. False where Python has to take part first, as it does before the arms relax, and where compliances
  * have to be looked at: nothing has changed then. */
-static nb::object step_minding(Loop &self, nb::handle memory, const InOrNone &q, const Maybe &dt,
+static nb::object step_minding(BoundCore &self, nb::handle memory, const InOrNone &q, const Maybe &dt,
                                const InOrNone &wrenches) {
     Stepping here(&self);
     double *m = self.minding;
@@ -427,15 +431,15 @@ static nb::object step_minding(Loop &self, nb::handle memory, const InOrNone &q,
     self.can->relax(self.arms, m, felt, length);
     self.can->allow(self.arms, m, length);
     move_grasp(&self, self.places_array.data, minding_of(self.arms, m).shift);
-    self.loop[OVERRIDDEN] = m[ALLOWED];
+    self.loop->overridden = m[ALLOWED];
     observe(&self, q, dt);
     nb::object step = command(&self);
     if (self.handed) return step;
-    m[REFERENCE_DT] = m[ASKED_DT], m[ASKED_DT] = self.record[R_DT];
+    m[REFERENCE_DT] = m[ASKED_DT], m[ASKED_DT] = self.record->dt;
     memcpy(minding_of(self.arms, m).reference, self.R, 9 * sizeof(double));
     memcpy(minding_of(self.arms, m).reference + 9, self.p, 3 * sizeof(double));
-    m[AT_END] = !(self.record[R_CLOCK_NEXT] > self.record[R_CLOCK]);
-    m[LAST_RATE] = self.record[R_RATE], m[LAST_SPEED] = fastest(self.joints, self.record + N_RECORD + self.nq);
+    m[AT_END] = !(self.record->clock_next > self.record->clock);
+    m[LAST_RATE] = self.record->rate, m[LAST_SPEED] = fastest(self.joints, vectors_of(self.record) + self.nq);
     if (m[WHY] != NOTHING_MORE) self.objects[TELL](step);
     return step;
 }
@@ -469,42 +473,42 @@ void bind_step(nb::module_ &m) {
     record_name = PyUnicode_InternFromString("_record"), context_name = PyUnicode_InternFromString("_context");
     status_name = PyUnicode_InternFromString("status"), rate_name = PyUnicode_InternFromString("rate");
     m.attr("GAP") = GAP;
-    nb::class_<Loop>(m, "Core", nb::type_slots(slots), "The compiled step over memory that Python owns.")
+    nb::class_<BoundCore>(m, "Core", nb::type_slots(slots), "The compiled step over memory that Python owns.")
         .def("__init__", build)
         .def("step", step) /* observe, propose, commit; None if the answer is open */
-        .def("hold", [](Loop &self) { enter(&self); })
-        .def("release", [](Loop &self) { leave(&self); })
-        .def("steps_here", [](Loop &self) { self.stepper = PyThread_get_thread_ident(); })
+        .def("hold", [](BoundCore &self) { enter(&self); })
+        .def("release", [](BoundCore &self) { leave(&self); })
+        .def("steps_here", [](BoundCore &self) { self.stepper = PyThread_get_thread_ident(); })
         .def("steps_elsewhere",
-             [](Loop &self) { return self.stepper && self.stepper != PyThread_get_thread_ident(); })
-        .def("observe", [](Loop &self, const InOrNone &q, const Maybe &dt) { observe(&self, q, dt); })
+             [](BoundCore &self) { return self.stepper && self.stepper != PyThread_get_thread_ident(); })
+        .def("observe", [](BoundCore &self, const InOrNone &q, const Maybe &dt) { observe(&self, q, dt); })
         .def("propose", propose)
-        .def("read", [](Loop &self, double cap) { return self.can->read(&self, cap) != 0; })
-        .def("commit", [](Loop &self) { return make_step(&self, self.can->commit(&self)); })
+        .def("read", [](BoundCore &self, double cap) { return self.can->read(&self, cap) != 0; })
+        .def("commit", [](BoundCore &self) { return make_step(&self, self.can->commit(&self)); })
         .def("advance", advance)
         .def("start",
-             [](Loop &self, const In &positions) {
+             [](BoundCore &self, const In &positions) {
                  check_fit(positions.size == self.joints);
                  self.can->start(&self, positions.data);
              })
         .def("start_path",
-             [](Loop &self, double clock, double rate) {
+             [](BoundCore &self, double clock, double rate) {
                  self.can->start_path(&self, clock, rate);
                  raise_interrupt(&self);
              })
         .def("set_path", set_path)
         .def("go_over", go_over)
         .def("bind_knots",
-             [](Loop &self, const Maybe &f) { self.bound_knot = hold_object(self, BOUND_KNOT, f) ? ask_knot : nullptr; })
+             [](BoundCore &self, const Maybe &f) { self.bound_knot = hold_object(self, BOUND_KNOT, f) ? ask_knot : nullptr; })
         .def("bind_evasion",
-             [](Loop &self, const Maybe &f) { self.evade = hold_object(self, EVADE, f) ? ask_evasion : nullptr; })
+             [](BoundCore &self, const Maybe &f) { self.evade = hold_object(self, EVADE, f) ? ask_evasion : nullptr; })
         .def("bind_rows",
-             [](Loop &self, const nb::object &clear, const nb::object &rows, const nb::object &tightened) {
+             [](BoundCore &self, const nb::object &clear, const nb::object &rows, const nb::object &tightened) {
                  hold_object(self, CLEAR, clear);
                  hold_object(self, FURTHER_ROWS, rows), hold_object(self, TIGHTENED, tightened);
              })
         .def("bind_surveys",
-             [](Loop &self, const nb::object &here, const nb::object &ahead) {
+             [](BoundCore &self, const nb::object &here, const nb::object &ahead) {
                  hold_object(self, SURVEY_HERE, here), hold_object(self, SURVEY_AHEAD, ahead);
                  self.survey_ahead = ask_survey;
              })

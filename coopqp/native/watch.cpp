@@ -66,11 +66,11 @@ static int has_lost(const Core *c, int k) { return c->lost[k] > 0.0 && c->lost[k
 /* A lost sample says nothing: the distance stays as it was. */
 static void keep_where_lost(Core *c, const double *q, double *away) {
     for (int k = 0; k < c->arms; k++) {
-        c->lost[k] = c->watch[HAS_SEEN] != 0.0 && repeats(c, k, q) ? c->lost[k] + 1.0 : 0.0;
+        c->lost[k] = c->watch->has_seen != 0.0 && repeats(c, k, q) ? c->lost[k] + 1.0 : 0.0;
         if (has_lost(c, k)) memcpy(away + 6 * k, c->away + 6 * k, 6 * sizeof(double));
     }
     memcpy(c->seen, q, sizeof(double) * (size_t)c->nq);
-    c->watch[HAS_SEEN] = 1.0;
+    c->watch->has_seen = 1.0;
 }
 
 /* Noise in unfiltered deviations (6 an arm) [m, rms], from their second differences, which motion hardly has. */
@@ -111,12 +111,12 @@ static double shrink_drift(Core *c, double *change) {
 /* One step of the filter of least variance for distance = drift + lag speed; the drift grows by `most` at most. */
 static void update_drift(Core *c, const double *apart, double noise, double speed, double most, double dt,
                          double *change) {
-    double *w = c->watch;
-    const double fresh = dt / (SMOOTHING + dt), limit = c->options[LET_IN];
-    w[DRIFT_SPEED] += fresh * (speed - w[DRIFT_SPEED]);
-    w[VAR_DRIFT] += WANDER * WANDER * dt;
-    const double s = w[DRIFT_SPEED];
-    const double hb = w[VAR_DRIFT] + w[COVARIANCE] * s, hc = w[COVARIANCE] + w[VAR_LAG] * s;
+    Watch *w = c->watch;
+    const double fresh = dt / (SMOOTHING + dt), limit = c->options->let_in;
+    w->drift_speed += fresh * (speed - w->drift_speed);
+    w->var_drift += WANDER * WANDER * dt;
+    const double s = w->drift_speed;
+    const double hb = w->var_drift + w->covariance * s, hc = w->covariance + w->var_lag * s;
     const double scale = 1.0 / (hb + hc * s + (DRIFT_FLOOR * DRIFT_FLOOR + noise * noise) * DRIFT_SAMPLE / dt);
     for (int i = 0; i < 6 * c->arms; i++) {
         c->apart[i] += fresh * (apart[i] - c->apart[i]);
@@ -128,28 +128,28 @@ static void update_drift(Core *c, const double *apart, double noise, double spee
     const double share = largest > most ? most / largest : 1.0;
     for (int i = 0; i < 6 * c->arms; i++)
         c->slow_drift[i] = clamp(c->slow_drift[i] + share * change[i], -limit, limit);
-    w[VAR_DRIFT] = fmax(w[VAR_DRIFT] - scale * hb * hb, 0.0);
-    w[COVARIANCE] -= scale * hb * hc;
+    w->var_drift = fmax(w->var_drift - scale * hb * hb, 0.0);
+    w->covariance -= scale * hb * hc;
     /* Too fast for a drift: the lag may have changed. */
-    w[VAR_LAG] = largest > most ? LAG * LAG : fmax(w[VAR_LAG] - scale * hc * hc, LEAST_LAG * LEAST_LAG);
+    w->var_lag = largest > most ? LAG * LAG : fmax(w->var_lag - scale * hc * hc, LEAST_LAG * LEAST_LAG);
 }
 
 /* Distances without the drift. */
 static void without_drift(Core *c, const double *apart, double noise, double dt, double *out) {
-    double *w = c->watch;
-    w[DRIFT_SINCE] += dt;
-    if (w[DRIFT_STARTED] == 0.0) {
+    Watch *w = c->watch;
+    w->drift_since += dt;
+    if (w->drift_started == 0.0) {
         memcpy(c->drift_last, c->positions, sizeof(double) * (size_t)c->joints);
-        w[DRIFT_STARTED] = 1.0;
-    } else if (w[DRIFT_SINCE] >= DRIFT_PERIOD) {
+        w->drift_started = 1.0;
+    } else if (w->drift_since >= DRIFT_PERIOD) {
         double way = 0.0; /* joints count with a lever of 1 m */
         for (int j = 0; j < c->joints; j++) {
             double moved = fabs(c->positions[j] - c->drift_last[j]);
             way = moved > way ? moved : way;
             c->drift_last[j] = c->positions[j];
         }
-        update_drift(c, apart, noise, way / w[DRIFT_SINCE], LARGEST_SLOPE * way, w[DRIFT_SINCE], out);
-        w[DRIFT_SINCE] = 0.0;
+        update_drift(c, apart, noise, way / w->drift_since, LARGEST_SLOPE * way, w->drift_since, out);
+        w->drift_since = 0.0;
     }
     for (int i = 0; i < 6 * c->arms; i++) out[i] = apart[i] - c->slow_drift[i];
 }
@@ -157,12 +157,12 @@ static void without_drift(Core *c, const double *apart, double noise, double dt,
 /* Distances of rigid grips, which have no lag in them, without a drift that follows them at once. */
 static void follow_drift(Core *c, const double *apart, double dt, double *out) {
     double way = 0.0, fastest = 1e-300;
-    const double limit = c->options[LET_IN];
+    const double limit = c->options->let_in;
     for (int j = 0; j < c->joints; j++) {
-        if (c->watch[DRIFT_STARTED] != 0.0) way = fmax(way, fabs(c->positions[j] - c->drift_last[j]));
+        if (c->watch->drift_started != 0.0) way = fmax(way, fabs(c->positions[j] - c->drift_last[j]));
         c->drift_last[j] = c->positions[j];
     }
-    c->watch[DRIFT_STARTED] = 1.0;
+    c->watch->drift_started = 1.0;
     for (int i = 0; i < 6 * c->arms; i++) fastest = fmax(fastest, fabs(apart[i] - c->slow_drift[i]));
     c->minding[WAY_DONE] = way;
     const double share = fmin((LARGEST_SLOPE * way + GROWS * dt) / fastest, 1.0);
@@ -186,9 +186,9 @@ static void count_far(Core *c, const double *away, const double *apart, const do
     if (has_lost(c, farthest)) return;
     from_others(c, away, unfiltered);
     for (int i = 0; i < 6 * c->arms; i++) unfiltered[i] -= apart[i] - out_of_step[i];
-    const double limit = c->options[FAULT_FROM];
+    const double limit = c->options->fault_from;
     const int far = largest_square6(c, unfiltered) >= limit * limit;
-    c->watch[FAR_SAMPLES] = far ? c->watch[FAR_SAMPLES] + 1.0 : 0.0;
+    c->watch->far_samples = far ? c->watch->far_samples + 1.0 : 0.0;
 }
 
 static double own_distance(const Core *c, int k) { return sqrt(square6(c->deviation + 6 * k)); }
@@ -200,7 +200,7 @@ static int as_far(const double *out_of_step, int k, double largest) {
 /* Of arms equally far from the others, as two arms always are, the one that is not where it should be; of several, the
  * one that was named last, or the first. */
 static int most_out_of_step(const Core *c, const double *out_of_step, double largest) {
-    const int last = (int)c->watch[WATCH_ARM];
+    const int last = (int)c->watch->watch_arm;
     double most = -1.0;
     int arm = -1;
     for (int k = 0; k < c->arms; k++)
@@ -213,59 +213,59 @@ static int most_out_of_step(const Core *c, const double *out_of_step, double lar
 
 /* Deviation of each arm from the mean of the others that slows or stops the object. */
 static void watch_distances(Core *c, const double *q, const double *away_given, double dt, int rigid, Seen *seen) {
-    const double *o = c->options;
+    const Options *o = c->options;
     const int count = 6 * c->arms;
     double *away = c->scratch, *apart = away + count, *out_of_step = apart + count, *unfiltered = out_of_step + count;
     to_grasps(c, away_given, away);
     keep_where_lost(c, q, away);
-    const double fresh = dt / (o[FILTER_TIME] + dt);
+    const double fresh = dt / (o->filter_time + dt);
     for (int i = 0; i < count; i++) c->deviation[i] += fresh * (away[i] - c->deviation[i]);
-    const double share = sqrt(dt / (2.0 * o[FILTER_TIME] + dt)); /* of the noise that passes the filter */
-    const double noise = share * noise_seen(c->arms, c->watch + SAMPLES, c->away, c->away_step, c->noise, away, dt);
+    const double share = sqrt(dt / (2.0 * o->filter_time + dt)); /* of the noise that passes the filter */
+    const double noise = share * noise_seen(c->arms, &c->watch->samples, c->away, c->away_step, c->noise, away, dt);
     from_others(c, c->deviation, apart);
-    if (o[LET_IN] > 0.0 && rigid)
+    if (o->let_in > 0.0 && rigid)
         follow_drift(c, apart, dt, out_of_step);
-    else if (o[LET_IN] > 0.0)
+    else if (o->let_in > 0.0)
         without_drift(c, apart, noise, dt, out_of_step);
     else
         memcpy(out_of_step, apart, sizeof(double) * (size_t)count);
     count_far(c, away, apart, out_of_step, unfiltered);
     const double largest = sqrt(largest_square6(c, out_of_step));
-    const double worst = largest - o[NOISE_MARGIN] * noise;
-    c->watch[LAG_NOISE] = o[NOISE_MARGIN] * noise / sqrt((double)c->arms) + fmax(worst, 0.0); /* see watch_lag() */
-    if (worst <= o[SLOW_FROM] || c->watch[SAMPLES] < FEW_SAMPLES) return;
+    const double worst = largest - o->noise_margin * noise;
+    c->watch->lag_noise = o->noise_margin * noise / sqrt((double)c->arms) + fmax(worst, 0.0); /* see watch_lag() */
+    if (worst <= o->slow_from || c->watch->samples < FEW_SAMPLES) return;
     const int arm = most_out_of_step(c, out_of_step, largest);
     hold_for(seen, OUT_OF_STEP_BY, arm, sqrt(square6(out_of_step + 6 * arm)), 0.0);
-    seen->fault = worst >= o[FAULT_FROM] && c->watch[FAR_SAMPLES] >= FAULT_SAMPLES;
-    if (!(worst < o[HOLD_FROM])) return;
+    seen->fault = worst >= o->fault_from && c->watch->far_samples >= FAULT_SAMPLES;
+    if (!(worst < o->hold_from)) return;
     seen->hold = 0;
-    seen->cap = (o[HOLD_FROM] - worst) / (o[HOLD_FROM] - o[SLOW_FROM]);
+    seen->cap = (o->hold_from - worst) / (o->hold_from - o->slow_from);
 }
 
 /* -- stalls -------------------------------------------------------------------------------------------------------- */
 
 /* The sample so many samples before the last one, or the oldest. */
 static const double *sample_before(const Core *c, int samples) {
-    const int count = (int)c->watch[PAST_COUNT], last = (int)c->watch[PAST_HEAD] + c->past - 1;
+    const int count = (int)c->watch->past_count, last = (int)c->watch->past_head + c->past - 1;
     return c->history + 2 * (size_t)c->joints * (size_t)((last - (samples < count ? samples : count - 1)) % c->past);
 }
 
 /* Keep this sample in the ring. */
 static void remember(Core *c, const double *positions) {
-    double *w = c->watch;
+    Watch *w = c->watch;
     const size_t joints = (size_t)c->joints;
-    double *slot = c->history + 2 * joints * (size_t)w[PAST_HEAD];
+    double *slot = c->history + 2 * joints * (size_t)w->past_head;
     memcpy(slot, positions, sizeof(double) * joints);
     memcpy(slot + joints, c->positions, sizeof(double) * joints);
-    w[PAST_HEAD] = w[PAST_HEAD] + 1.0 < c->past ? w[PAST_HEAD] + 1.0 : 0.0;
-    w[PAST_COUNT] = fmin(w[PAST_COUNT] + 1.0, c->past);
+    w->past_head = w->past_head + 1.0 < c->past ? w->past_head + 1.0 : 0.0;
+    w->past_count = fmin(w->past_count + 1.0, c->past);
 }
 
 /* The least of the largest motions that the joints of arm k were commanded to make in as many samples, now or up to LAG ago: one
  * of them is what a late arm should have made. */
 static double least_told(const Core *c, int k, double told) {
-    const int start = (int)c->arm_start[k], end = start + (int)c->arm_size[k], samples = (int)c->options[STALL_SAMPLES];
-    const int late = (int)c->watch[PAST_COUNT] - 1 - samples;
+    const int start = (int)c->arm_start[k], end = start + (int)c->arm_size[k], samples = (int)c->options->stall_samples;
+    const int late = (int)c->watch->past_count - 1 - samples;
     for (int i = 1; i <= late; i++) {
         const double *from = sample_before(c, samples + i) + c->joints, *to = sample_before(c, i) + c->joints;
         double most = 0.0;
@@ -302,24 +302,24 @@ static void let_go_who_caught_up(Core *c, const double *gap) {
 
 /* An arm that stands while another follows has stalled; where none follows, signals may just be late. */
 static void note_stalls(Core *c, const double *told, const double *moved, const double *gap, double dt) {
-    const double *o = c->options;
-    double *stands = c->scratch + 3 * c->arms, *silence = c->watch + SILENCE;
+    const Options *o = c->options;
+    double *stands = c->scratch + 3 * c->arms, *silence = &c->watch->silence;
     int any = 0, follows = 0;
     for (int k = 0; k < c->arms; k++) {
         int moving = told[k] > STILL_COMMAND;
         /* With less of a gap it is not stalled but late; so it is where it turns round a little later than told. */
-        int still = moving && moved[k] < o[STALL_SHARE] * told[k] && gap[k] >= CAUGHT_UP;
+        int still = moving && moved[k] < o->stall_share * told[k] && gap[k] >= CAUGHT_UP;
         if (still) {
             const double least = least_told(c, k, told[k]);
-            still = least > STILL_COMMAND && moved[k] < o[STALL_SHARE] * least;
+            still = least > STILL_COMMAND && moved[k] < o->stall_share * least;
         }
         stands[k] = still;
         any |= still;
         follows |= moving && moved[k] > FOLLOWS * told[k];
     }
-    const int full = c->watch[PAST_COUNT] > o[STALL_SAMPLES];
+    const int full = c->watch->past_count > o->stall_samples;
     *silence = full && any && !follows ? *silence + dt : 0.0;
-    if (!full || !any || !(follows || *silence > o[SILENT_TIME])) return;
+    if (!full || !any || !(follows || *silence > o->silent_time)) return;
     for (int k = 0; k < c->arms; k++) {
         if (stands[k] == 0.0) continue;
         if (c->stalled[k] == 0.0) c->widest[k] = 0.0;
@@ -331,7 +331,7 @@ static void note_stalls(Core *c, const double *told, const double *moved, const 
 static void watch_stall(Core *c, const double *positions, double dt, int rigid, Seen *seen) {
     double *told = c->scratch, *moved = told + c->arms, *gap = moved + c->arms;
     remember(c, positions);
-    const double *before = sample_before(c, (int)c->options[STALL_SAMPLES]);
+    const double *before = sample_before(c, (int)c->options->stall_samples);
     for (int k = 0; k < c->arms; k++) moves_of(c, k, positions, before, told + k, moved + k, gap + k);
     let_go_who_caught_up(c, gap);
     note_stalls(c, told, moved, gap, dt);
@@ -380,20 +380,20 @@ static void comply(const Core *c, int k, const double *jacobian, double *C, doub
 
 /* Filter the deflection of the servos; find the commanded velocity. Returns whether all joints rest. */
 static int deflect(Core *c, const double *positions, double dt, double *velocity) {
-    const double *o = c->options;
-    const double fresh = dt / (o[FILTER_TIME] + dt), known = c->watch[HAS_COMMANDED];
+    const Options *o = c->options;
+    const double fresh = dt / (o->filter_time + dt), known = c->watch->has_commanded;
     double fastest = 0.0;
     for (int k = 0; k < c->arms; k++) {
         const int start = (int)c->arm_start[k], end = start + (int)c->arm_size[k];
         for (int j = start; j < end; j++) {
             velocity[j] = known != 0.0 ? (c->positions[j] - c->commanded[j]) / dt : 0.0;
-            const double off = c->positions[j] - positions[j] - o[SERVO_DELAY] * velocity[j];
+            const double off = c->positions[j] - positions[j] - o->servo_delay * velocity[j];
             c->deflection[j] += fresh * (off - c->deflection[j]);
             fastest = fabs(velocity[j]) > fastest ? fabs(velocity[j]) : fastest;
         }
     }
     memcpy(c->commanded, c->positions, sizeof(double) * (size_t)c->joints);
-    c->watch[HAS_COMMANDED] = 1.0;
+    c->watch->has_commanded = 1.0;
     return fastest <= AT_REST;
 }
 
@@ -414,7 +414,8 @@ static double straightness(const Core *c, int k, const double *jacobian, const d
 
 /* At rest, the arm that the total wrench puts straight back along its way does not follow its command. */
 static void find_behind(Core *c, const double *jacobian, const double *C, const double *wrenches, double largest) {
-    double *w = c->watch, total[6] = {0}, straightest = STRAIGHT_BACK;
+    Watch *w = c->watch;
+    double total[6] = {0}, straightest = STRAIGHT_BACK;
     for (int k = 0; k < c->arms; k++)
         for (int i = 0; i < 6; i++) total[i] += wrenches[6 * k + i];
     if (!(sqrt(dot3(total, total)) > UNBALANCED * largest)) return;
@@ -425,11 +426,11 @@ static void find_behind(Core *c, const double *jacobian, const double *C, const 
         const double straight = straightness(c, k, jacobian, back);
         if (!(straight > straightest)) continue;
         straightest = straight;
-        w[BEHIND] = k;
-        w[GAP] = sqrt(dot3(back, back));
+        w->behind = k;
+        w->gap = sqrt(dot3(back, back));
         double others[3];
         for (int i = 0; i < 3; i++) others[i] = total[i] - wrenches[6 * k + i];
-        w[PULL] = sqrt(dot3(others, others));
+        w->pull = sqrt(dot3(others, others));
     }
 }
 
@@ -449,7 +450,8 @@ static void linearise_measured(const Core *c, const double *positions, double *c
 static int read_forces(Core *c, const double *positions, double dt) {
     const int n = c->arms, nv = c->joints;
     double *carried = c->scratch, *C = carried + 12 * n, *wrenches = C + 36 * n;
-    double *jacobian = wrenches + 6 * n, *velocity = jacobian + 6 * nv, *w = c->watch;
+    Watch *w = c->watch;
+    double *jacobian = wrenches + 6 * n, *velocity = jacobian + 6 * nv;
     const int rests = deflect(c, positions, dt, velocity);
     linearise_measured(c, positions, carried, jacobian);
     int most = 0;
@@ -462,31 +464,31 @@ static int read_forces(Core *c, const double *positions, double dt) {
         c->forces[k] = sqrt(dot3(wrenches + 6 * k, wrenches + 6 * k));
         if (larger(c->forces[most], c->forces[k]) != c->forces[most]) most = k;
     }
-    w[BEHIND] = -1.0;
+    w->behind = -1.0;
     if (!rests) {
         for (int k = 0; k < n; k++) {
             const int start = (int)c->arm_start[k];
             memcpy(c->way + start, velocity + start, sizeof(double) * (size_t)c->arm_size[k]);
         }
-        w[REST] = 0.0;
+        w->rest = 0.0;
         return most;
     }
-    w[REST] += dt;
-    if (w[REST] > SERVOS_SETTLED) find_behind(c, jacobian, C, wrenches, c->forces[most]);
+    w->rest += dt;
+    if (w->rest > SERVOS_SETTLED) find_behind(c, jacobian, C, wrenches, c->forces[most]);
     return most;
 }
 
 /* Arms that press too hard on the object hold it, until they press less than half as hard. */
 static void watch_forces(Core *c, const double *positions, double dt, Seen *seen) {
-    double *w = c->watch;
-    const double limit = c->options[FORCE_LIMIT];
+    Watch *w = c->watch;
+    const double limit = c->options->force_limit;
     const int most = read_forces(c, positions, dt);
-    w[PRESSED] = !(c->forces[most] < (w[PRESSED] != 0.0 ? LET_GO * limit : limit));
-    if (w[PRESSED] == 0.0) return;
-    if (w[BEHIND] < 0.0)
+    w->pressed = !(c->forces[most] < (w->pressed != 0.0 ? LET_GO * limit : limit));
+    if (w->pressed == 0.0) return;
+    if (w->behind < 0.0)
         hold_for(seen, FORCE, most, c->forces[most], 0.0);
     else
-        hold_for(seen, HANGS_BEHIND, (int)w[BEHIND], w[GAP], w[PULL]);
+        hold_for(seen, HANGS_BEHIND, (int)w->behind, w->gap, w->pull);
 }
 
 /* Of arms that mind forces; see residual.cpp. */
@@ -505,57 +507,58 @@ static int all_finite(const Core *c, const double *positions, const double *away
 
 /* A slowed object is let go at such a pace that it takes a while from rest. */
 static void recover(Core *c, double dt, Seen *seen) {
-    double *w = c->watch;
-    const double allowed = w[WATCH_RATE] + dt / c->options[RECOVERY_TIME];
+    Watch *w = c->watch;
+    const double allowed = w->watch_rate + dt / c->options->recovery_time;
     if (allowed < seen->cap) {
         seen->cap = allowed;
-        if (seen->reason == NO_REASON) seen->reason = WAS_OUT_OF_STEP, seen->arm = (int)w[WATCH_ARM];
+        if (seen->reason == NO_REASON) seen->reason = WAS_OUT_OF_STEP, seen->arm = (int)w->watch_arm;
     }
-    w[WATCH_RATE] = seen->cap;
-    w[WATCH_ARM] = seen->arm;
+    w->watch_rate = seen->cap;
+    w->watch_arm = seen->arm;
 }
 
 /* Slow arms that are out of step down gently: a jolt would be a force of its own. */
 static void fall_gently(const Core *c, double dt, Seen *seen) {
-    const double least = c->watch[WATCH_RATE] - dt / CAP_FALLS;
+    const double least = c->watch->watch_rate - dt / CAP_FALLS;
     if (seen->fault || !(least > seen->cap)) return;
     seen->cap = least, seen->hold = 0;
 }
 
 static void watch_sample(Core *c, const double *positions, const double *q, const double *away, double dt) {
-    const double *o = c->options;
+    const Options *o = c->options;
     const int minds = c->arms > 1 && c->minding && c->minding[RIGID] != 0.0;
-    double *out = c->proposal, *moved = c->measured_moved;
+    Proposal *out = c->proposal;
+    double *moved = c->measured_moved;
     Seen seen;
     if (!all_finite(c, positions, away, dt)) {
         hold_for(&seen, NOT_FINITE, -1, 0.0, 0.0);
     } else {
         memcpy(moved, away, sizeof(double) * 6 * (size_t)c->arms);
         if (minds) add_shift(c, moved);
-        if (c->arms > 1 && o[SLOW_FROM] >= 0.0) watch_distances(c, q, moved, dt, minds, &seen);
+        if (c->arms > 1 && o->slow_from >= 0.0) watch_distances(c, q, moved, dt, minds, &seen);
         if (minds) fall_gently(c, dt, &seen);
-        if (minds && o[SLOW_FROM] >= 0.0) watch_servos(c, away, dt, &seen);
-        if (o[STALL_SAMPLES] > 0.0) watch_stall(c, positions, dt, minds, &seen);
-        if (o[WATCHES_FORCE] != 0.0) watch_forces(c, positions, dt, &seen);
-        if (c->arms > 1 && !c->minding && o[WATCHES_FORCE] == 0.0 && o[SLOW_FROM] >= 0.0) watch_lag(c, dt, &seen);
-        if (o[RECOVERY_TIME] > 0.0) recover(c, dt, &seen);
+        if (minds && o->slow_from >= 0.0) watch_servos(c, away, dt, &seen);
+        if (o->stall_samples > 0.0) watch_stall(c, positions, dt, minds, &seen);
+        if (o->watches_force != 0.0) watch_forces(c, positions, dt, &seen);
+        if (c->arms > 1 && !c->minding && o->watches_force == 0.0 && o->slow_from >= 0.0) watch_lag(c, dt, &seen);
+        if (o->recovery_time > 0.0) recover(c, dt, &seen);
         if (c->minding && c->minding[TOUCHES] != 0.0 && !seen.fault) hold_for(&seen, TOUCHING, -1, 0.0, 0.0); /* at once */
     }
-    if (out[FAULTS] != 0.0 || !(seen.cap < out[WATCH_CAP] || seen.fault)) return; /* a fault stays as it is */
-    out[WATCH_CAP] = seen.cap;
-    out[HOLD] = seen.hold, out[FAULTS] = seen.fault;
-    out[REASON] = seen.reason, out[REASON_ARM] = seen.arm;
-    out[REASON_A] = seen.a, out[REASON_B] = seen.b;
+    if (out->faults != 0.0 || !(seen.cap < out->watch_cap || seen.fault)) return; /* a fault stays as it is */
+    out->watch_cap = seen.cap;
+    out->hold = seen.hold, out->faults = seen.fault;
+    out->reason = seen.reason, out->reason_arm = seen.arm;
+    out->reason_a = seen.a, out->reason_b = seen.b;
 }
 
 static void watch_reset(Core *c) {
     const size_t arms = sizeof(double) * (size_t)c->arms, joints = sizeof(double) * (size_t)c->joints;
     double *of_arms[] = {c->noise, c->stalled, c->widest, c->lost, c->forces};
     double *of_distances[] = {c->deviation, c->away, c->away_step, c->slow_drift, c->lag, c->apart};
-    memset(c->watch, 0, N_WATCH * sizeof(double));
-    c->watch[WATCH_RATE] = 1.0;
-    c->watch[WATCH_ARM] = c->watch[BEHIND] = -1.0;
-    c->watch[VAR_LAG] = LAG * LAG;
+    *c->watch = Watch{};
+    c->watch->watch_rate = 1.0;
+    c->watch->watch_arm = c->watch->behind = -1.0;
+    c->watch->var_lag = LAG * LAG;
     for (size_t i = 0; i < sizeof of_arms / sizeof *of_arms; i++) memset(of_arms[i], 0, arms);
     for (size_t i = 0; i < sizeof of_distances / sizeof *of_distances; i++) memset(of_distances[i], 0, 6 * arms);
     memset(c->told_velocity, 0, joints);

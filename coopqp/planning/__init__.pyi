@@ -6,8 +6,8 @@ from .branch_checks import PathVerdict as PathVerdict
 from .check import PathCheck as PathCheck
 from .check import Remedy as Remedy
 from .check import check_path as check_path
-from .clearance import Bodies as Bodies
-from .clearance import ClearanceCheck as ClearanceCheck
+from .clearance_check import Bodies as Bodies
+from .clearance_check import ClearanceCheck as ClearanceCheck
 from .payload import Payload as Payload
 from .planner import Plan as Plan
 from .planner import plan as plan

@@ -41,7 +41,7 @@ from coopqp.planning.branch_checks import (
     tool_path,
     worst,
 )
-from coopqp.planning.clearance import Bodies, ClearanceCheck, check_scene
+from coopqp.planning.clearance_check import Bodies, ClearanceCheck, check_scene
 from coopqp.planning.joint_trajectories import CellWay
 from coopqp.planning.segments import Segments, segments_of
 from coopqp.planning.starts import clear_rows, exact_start
@@ -223,8 +223,8 @@ def check_path(
     """Can the arms follow a path inside their position limits, away from singularities, and without touching?
 
     The library's own paths are proved between samples, too (:mod:`coopqp.planning.certificate`,
-    :mod:`coopqp.collision.along`). Other paths, arms with fewer than six joints and the remaining branches of redundant
-    arms are sampled.
+    :mod:`coopqp.collision.path_check`). Other paths, arms with fewer than six joints and the remaining branches of
+    redundant arms are sampled.
 
     Args:
         cell, grasp, path: the arms, their grasps and the object's path.

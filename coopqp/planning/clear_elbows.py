@@ -15,7 +15,7 @@ from coopqp.errors import UndecidedError, UnreachableError
 from coopqp.paths.timed import SpeedProfile, TimedPath
 from coopqp.planning.branch_checks import PathVerdict
 from coopqp.planning.check import PathCheck, check_motion, check_path, places_along
-from coopqp.planning.clearance import Bodies
+from coopqp.planning.clearance_check import Bodies
 from coopqp.planning.knots import Lead
 from coopqp.planning.timing import TimedMotion
 from coopqp.spatial import Array
@@ -28,8 +28,8 @@ _WIDTHS = (0.1, 0.03, 0.01)
 _PARTS = (0.25, 0.5, 0.75, 1.0)
 #: How much slower than planned the path is looked at for an evading motion: slowly elbows evade further.
 _SLOWER = (1.0, 4.0, 16.0)
-#: Least room of a motion that is led [m]: a run keeps to it within 0.1 mm.
-_ROOM = 1e-4
+#: Least clearance of a motion that is led [m]: a run keeps to it within 0.1 mm.
+_LEAST = 1e-4
 
 
 def clear_plan(
@@ -51,7 +51,7 @@ def clear_plan(
         own = check_motion(check.cell, check.grasp, led.path, led.x, scene)
         if own is None or own.verdict is not PathVerdict.CERTIFIED:
             continue
-        if own.clearance is not None and own.clearance.room >= _ROOM:
+        if own.clearance is not None and own.clearance.proved >= _LEAST:
             path = led.path.kept_clear()
             return path, own.on(path)
     return None

@@ -23,7 +23,7 @@ from coopqp.paths.timed import SpeedProfile, TimedPath
 from coopqp.planning.branch_checks import PathVerdict, follows
 from coopqp.planning.check import PathCheck, check_motion, check_path
 from coopqp.planning.clear_elbows import clear_plan
-from coopqp.planning.clearance import Bodies, check_scene
+from coopqp.planning.clearance_check import Bodies, check_scene
 from coopqp.planning.fastest_start import faster_start
 from coopqp.planning.payload import Payload
 from coopqp.planning.starts import Start, find_start

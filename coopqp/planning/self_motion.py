@@ -10,7 +10,7 @@ from coopqp.model.grasp import Grasp
 from coopqp.model.posture import PostureOptions
 from coopqp.paths.path import ObjectPath
 from coopqp.planning.check import check_path
-from coopqp.planning.clearance import Bodies
+from coopqp.planning.clearance_check import Bodies
 
 
 def led_path(

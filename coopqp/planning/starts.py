@@ -22,7 +22,7 @@ from coopqp.model.grasp import Grasp
 from coopqp.model.inverse_kinematics import newton
 from coopqp.paths.path import ObjectPath
 from coopqp.planning.arm_starts import ArmOnPath, BranchAlongPath, arm_on_path, rolled, trouble
-from coopqp.planning.clearance import Bodies, check_scene
+from coopqp.planning.clearance_check import Bodies, check_scene
 from coopqp.spatial import Array
 
 #: Rolls of the tool that are tried for a remedy [deg], the most usual first.

@@ -10,7 +10,7 @@ from coopqp.model.batch import ArmKinematics
 from coopqp.planning.branch_checks import BranchCheck, PathVerdict
 from coopqp.planning.certificate import LEAST_SIGMA
 from coopqp.planning.check import PathCheck
-from coopqp.planning.clearance import ClearanceCheck
+from coopqp.planning.clearance_check import ClearanceCheck
 from coopqp.visualization.style import (
     COLOURS,
     INK,

@@ -99,7 +99,7 @@ def lid(scenario: Scenario, gap: float) -> Body:
 
 def test_the_judges_distances_are_those_of_another_way_and_of_the_controllers(lift: Scenario) -> None:
     scene, rng = CollisionScene.of(plate_and_post(post="box"), margin=0.0), np.random.default_rng(1)
-    distances, judge_ = Distances(scene), Closeness(scene)
+    distances, judge_ = Distances(scene.built), Closeness(scene)
     shapes = list(scene.built.geometry.geometryObjects)
     cores, ends = [core_of(shape.geometry) for shape in shapes], list(scene.built.geometry.collisionPairs)
     data = scene.cell.model.createData()
@@ -146,7 +146,7 @@ def test_distance_of_convex_bodies_keeps_its_bounds(seed: int) -> None:
 @pytest.mark.parametrize("scenario", [paper_lift(), dual_arm7(), mixed_cell()], ids=lambda s: s.name)
 def test_gradients_are_differences(scenario: Scenario) -> None:
     scene, h = CollisionScene.of(scenario, margin=0.0), 1e-5
-    distances, cell = Distances(scene), scenario.cell
+    distances, cell = Distances(scene.built), scenario.cell
     d = distances.all(scenario.q_start)
     near = np.argsort(d)[:30]
     near = near[d[near] > 1e-3]
@@ -165,7 +165,7 @@ def test_gradients_are_differences(scenario: Scenario) -> None:
 @pytest.mark.parametrize("scenario", [paper_lift(), mixed_cell()], ids=lambda s: s.name)
 def test_no_motion_changes_a_distance_by_more_than_its_bound(scenario: Scenario) -> None:
     scene = CollisionScene.of(scenario, margin=0.0)
-    distances, cell, rng = Distances(scene), scenario.cell, np.random.default_rng(3)
+    distances, cell, rng = Distances(scene.built), scenario.cell, np.random.default_rng(3)
     low, high = np.maximum(cell.limits.lower, -3.0), np.minimum(cell.limits.upper, 3.0)
     for _ in range(40):
         x = rng.uniform(low, high)
@@ -177,17 +177,17 @@ def test_no_motion_changes_a_distance_by_more_than_its_bound(scenario: Scenario)
 
 def test_bounds_that_follow_the_joints_stay_below_the_distances(lift: Scenario) -> None:
     scene, rng = CollisionScene.of(lift, margin=0.0), np.random.default_rng(5)
-    distances, other = Distances(scene), Distances(scene)
-    bounds = LowerBounds(scene, distances)
+    distances, other = Distances(scene.built), Distances(scene.built)
+    bounds = LowerBounds(scene.built, distances)
     q = lift.q_start.copy()
     for _ in range(30):
         q = q + rng.normal(size=lift.cell.nq) * 0.01
         bounds.follow(lift.cell.positions(q))
         distances.place(q)
-        bounds.ask(np.flatnonzero(bounds.rooms < 0.02).tolist())
+        bounds.ask(np.flatnonzero(bounds.clearances < 0.02).tolist())
         bounds.sharpen()
         d = other.all(q)
-        assert (bounds.rooms <= d + 1e-8).all()
+        assert (bounds.clearances <= d + 1e-8).all()
         reach, slack = bounds.certificate()
         for _ in range(5 if slack > 0.0 else 0):  # wherever the certificate reaches nothing touches
             step = rng.normal(size=lift.cell.nv)
@@ -253,7 +253,7 @@ def test_rows_in_memory_are_those_of_the_definition(scenario: Scenario) -> None:
     assert nearby is not None
     start, speed = cell.positions(scenario.q_start), np.minimum(cell.limits.velocity, 3.0)
     x, found, tighter, refused, quiets = start, 0, 0, 0, 0
-    probe, other = Distances(scene), np.random.default_rng(4)
+    probe, other = Distances(scene.built), np.random.default_rng(4)
     for i in range(60):
         q, v, blind = cell.configuration(x), rng.uniform(-1.0, 1.0, cell.nv) * speed, bool(i % 7 == 0)
         memory["positions"][:], memory["command"][:], memory["dt"][:] = x, v, dt
@@ -388,7 +388,7 @@ def test_a_command_is_shown_to_be_clear_without_asking_for_all_that_is_near() ->
 
 def test_distances_do_not_depend_on_what_was_asked_before() -> None:
     scene, rng = CollisionScene.of(plate_and_post(), margin=0.0), np.random.default_rng(4)
-    asked, fresh = Distances(scene), Distances(scene)
+    asked, fresh = Distances(scene.built), Distances(scene.built)
     q = plate_and_post().q_start
     for _ in range(20):
         q = q + rng.normal(size=q.size) * 1e-3
@@ -1052,7 +1052,7 @@ def test_bad_tables_are_named(tmp_path: Path, old: str, new: str, said: str) -> 
 
 def test_bodies_that_overlap_have_a_finite_depth(lift: Scenario) -> None:
     # coal's search of the depth fails for one in some thousand overlaps, and answers −1.8e308.
-    distances = Distances(CollisionScene.of(lift))
+    distances = Distances(CollisionScene.of(lift).built)
     distances._results = [SimpleNamespace(min_distance=-np.finfo(float).max) for _ in distances._results]  # type: ignore[misc]
     d = distances.all(lift.q_start)
     assert (d < 0.0).all()

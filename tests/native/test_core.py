@@ -76,7 +76,7 @@ def core_of(loop: Any) -> Any:
 
 
 def proposal(loop: Any, name: str) -> float:
-    value: float = loop.at["proposal"][layout.PROPOSAL.index(name)]
+    value: float = getattr(layout.views(loop.at)["proposal"], name.lower())
     return value
 
 
@@ -307,18 +307,18 @@ def test_a_singular_arm_is_left_to_the_definition(angles: dict[int, float], arit
 #: What the core counts with: whole numbers, which only its own code writes.
 COUNTS = {
     "arm_start", "arm_size", "q_index", "continuous", "prismatic", "bounds", "history", "ahead", "lost",
-    "options/NEWTON_STEPS", "options/STALL_SAMPLES", "options/OWN_SOLVER",
-    "loop/FAULT", "loop/FAULT_ARM", "watch/WATCH_ARM", "watch/PAST_COUNT", "watch/PAST_HEAD", "watch/BEHIND",
-    "knots/K_KIND", "knots/K_ARM", "knots/K_JOINT",
+    "options/newton_steps", "options/stall_samples", "options/own_solver",
+    "loop/fault", "loop/fault_arm", "watch/watch_arm", "watch/past_count", "watch/past_head", "watch/behind",
+    "knots/limit",
 }  # fmt: skip
 #: Fields whose entries have names.
-NAMED = {"options": layout.OPTIONS, "loop": layout.LOOP, "watch": layout.WATCH, "knots": layout.KNOT}
+NAMED = {"options": layout.Options, "loop": layout.Loop, "watch": layout.Watch, "knots": layout.Knot}
 
 
 def places() -> Iterator[str]:
     """Every field of the constants and of the state, and every entry with a name."""
     for name, _ in (*layout.CONFIG, *layout.STATE):
-        for place in [f"{name}/{entry}" for entry in NAMED[name]] if name in NAMED else [name]:
+        for place in [f"{name}/{entry}" for entry, _ in NAMED[name]._fields_] if name in NAMED else [name]:
             if place not in COUNTS:
                 yield place
 
@@ -326,7 +326,8 @@ def places() -> Iterator[str]:
 def fill(loop: Any, place: str, value: float) -> None:
     name, _, entry = place.partition("/")
     if entry:
-        loop.at[name][NAMED[name].index(entry) :: len(NAMED[name])] = value
+        member, kind = getattr(NAMED[name], entry), layout.SIZES[NAMED[name].__name__]
+        loop.at[name].reshape(-1, kind)[:, member.offset // 8 : (member.offset + member.size) // 8] = value
     else:
         loop.at[name][:] = value
 
@@ -574,5 +575,5 @@ def test_memory_lives_as_long_as_its_core(paper: Scenario, make_cell: Callable[.
     [np.full(100_000, np.nan) for _ in range(20)]  # would be written over what is free
     records = [core.step(None, None) for _ in range(5)]
     assert all(isinstance(record, bytes) for record in records)
-    first = len(layout.RECORD)
+    first = layout.SIZES["Record"]
     assert all(np.isfinite(np.frombuffer(record)[first : first + 54]).all() for record in records)

@@ -79,8 +79,8 @@ def test_what_is_proved_holds_at_dense_samples(seed: int) -> None:
     assert closest is not None
     d = closest.pair.distance
     if found.verdict is CERTIFIED:
-        assert found.room + 0.005 <= d + 1e-8
-        assert found.room + 0.005 >= 0.95 * d - 1e-3  # and it is not much less
+        assert found.proved + 0.005 <= d + 1e-8
+        assert found.proved + 0.005 >= 0.95 * d - 1e-3  # and it is not much less
         assert found.pair.distance == pytest.approx(d, rel=0.06, abs=1e-3)
     assert (found.verdict is CERTIFIED) == (d > 0.005)
 
@@ -179,7 +179,7 @@ def test_beyond_the_end_of_an_arms_way_nothing_is_proved() -> None:
     np.testing.assert_allclose(ended.undecided, [[end, task.path.duration]], rtol=0, atol=1e-12)
     assert f"from {end:.4g} s on nothing is judged" in ended.explain()
     assert "proved" not in ended.explain()
-    assert ended.room == -np.inf
+    assert ended.proved == -np.inf
 
 
 @pytest.mark.parametrize("task", [mixed_cell(), dual_arm7(), ring(arms=3)], ids=lambda task: task.name)
@@ -210,7 +210,7 @@ def test_without_a_proof_of_the_arms_distances_are_sampled() -> None:
     assert found.verdict is SAMPLED
     assert found.clearance is not None
     assert found.clearance.verdict is SAMPLED
-    assert found.clearance.room == -np.inf
+    assert found.clearance.proved == -np.inf
     proved = checked(lift)
     assert proved.verdict is CERTIFIED
     assert proved.clearance is not None
@@ -250,7 +250,7 @@ def test_the_proof_holds_for_a_motion_of_the_elbow_that_evades() -> None:
     closest = Closeness(scene).closest(q, way.clocks(places))
     assert closest is not None
     assert found.clearance is not None
-    assert closest.pair.distance >= 0.02 + found.clearance.room - 1e-8
+    assert closest.pair.distance >= 0.02 + found.clearance.proved - 1e-8
     # Without evasion the elbow would come inside.
     clocks, straight = followed(task, 101)
     unled = Closeness(scene).closest(straight, clocks)
@@ -391,7 +391,7 @@ def test_the_command_judges_distances(tmp_path: Path, capsys: pytest.CaptureFixt
     found = json.loads(record.read_text(encoding="utf-8"))["clearance"]
     assert found["verdict"] == "INFEASIBLE"
     assert found["stopped_by"]["between"] == ["object", "post"]
-    assert found["room_m"] is None
+    assert found["proved_m"] is None
     assert len(found["clocks_s"]) == len(found["distances_m"]) > 10
     assert cli.main(["check", "elbow_and_knob"]) == 0
     assert "all margins are kept, which is proved; closest 23 mm, left/link_3 and knob" in capsys.readouterr().out

@@ -40,12 +40,8 @@ from coopqp.paths.path import ObjectPath
 from coopqp.paths.servo import ServoPath
 from coopqp.spatial import Array
 
-_P = {name: i for i, name in enumerate(layout.PROPOSAL)}
-_LOOP = {name: i for i, name in enumerate(layout.LOOP)}
 #: Pieces of work on bodies ahead that a start does at most.
 _SURVEYS_AT_START = 20
-_QUIET = [_LOOP["QUIET_SLACK"], _LOOP["QUIET_APPROACH"]]
-_KNOT = {name: i for i, name in enumerate(layout.KNOT)}
 _NOT_FINITE, _PATH_FAILED, _LOOK_AHEAD_FAILED, _CONSTRAINT_FAILED = (
     layout.REASONS.index(name) for name in ("NOT_FINITE", "PATH_FAILED", "LOOK_AHEAD_FAILED", "CONSTRAINT_FAILED")
 )
@@ -87,14 +83,16 @@ class CompiledLoop:
         unit = self.solver.program.units
         self._memory = build_memory(chain, box, shares, unit, grasp_lengths(grasp), options, dt, gap=native.GAP)
         at = self.at = self._memory.at
+        self._loop, self._proposal, self._knots = (self._memory.views[name] for name in ("loop", "proposal", "knots"))
         #: Placement of the object on each arm's last joint without a shift: R, p.
         self._places = np.hstack([at["object_R"].reshape(-1, 9), at["object_p"].reshape(-1, 3)])
         self._shift: Array | None = None
-        at["options"][layout.OPTIONS.index("OWN_SOLVER")] = self.solver.name == "ldp"
+        numbers = self._numbers = self._memory.views["options"]
+        numbers.own_solver = self.solver.name == "ldp"
         self._certified = constraints.certified
-        at["options"][layout.OPTIONS.index("CERTIFIED")] = self._certified is not None
-        at["options"][layout.OPTIONS.index("LEAVES_PATH")] = constraints.gives_way
-        at["loop"][_LOOP["OVERRIDDEN"]] = at["loop"][_LOOP["EASE"]] = 1.0
+        numbers.certified = self._certified is not None
+        numbers.leaves_path = constraints.gives_way
+        self._loop.overridden = self._loop.ease = 1.0
         self._core = _make_core(self._memory, arithmetic)
         if not same_kinematics(chain, self._core.linearise):
             raise NotForTheCore("the core's kinematics of this robot are not Pinocchio's")
@@ -108,7 +106,7 @@ class CompiledLoop:
         if constraints:
             self._core.bind_knots(self._bound_knot)
         if self._certified is not None:
-            at["proposal"][_P["DT"]] = dt  # of the first step, for what it prepares
+            self._proposal.dt = dt  # of the first step, for what it prepares
             rows = self._certified.in_memory(self._memory.of_rows())
             ahead = None if rows is None else self._certified.in_memory(self._memory.of_rows(), ahead=True)
             if rows is not None and ahead is not None:
@@ -130,7 +128,7 @@ class CompiledLoop:
         self._guarded = GuardedPath(path)
         put_options(self._memory, self._chain, self._box, self.options.on(self._guarded.planned_share), self.dt)
         elbows = self._guarded.elbows
-        self.at["options"][layout.OPTIONS.index("ELBOWS")] = 0 if elbows is None else len(elbows.clocks)
+        self._numbers.elbows = 0 if elbows is None else len(elbows.clocks)
         self._core.bind_evasion(self._evade if self.constraints.evades and not self._guarded.keeps_clear else None)
         self._reader = RecordReader(
             self.cell, self.grasp, path, solver=self.solver.name, constraints=self.constraints,
@@ -189,25 +187,25 @@ class CompiledLoop:
 
     def set_reins(self, override: float, *, paused: bool) -> None:
         """Set override and pause from the next step on."""
-        loop = self.at["loop"]
-        loop[_LOOP["OVERRIDDEN"]], loop[_LOOP["PAUSE"]] = override, paused
+        loop = self._loop
+        loop.overridden, loop.pause = override, paused
 
     @property
     def reins(self) -> tuple[float, bool]:
         """Override, and whether the object is paused."""
-        loop = self.at["loop"]
-        return loop.item(_LOOP["OVERRIDDEN"]), bool(loop[_LOOP["PAUSE"]])
+        loop = self._loop
+        return loop.overridden, bool(loop.pause)
 
     def look_ahead_again(self, rate: float | None = None) -> None:
         """The path ahead has changed; the object moves along it at a rate."""
-        loop = self.at["loop"]
-        kept = loop.copy()
+        loop = self._loop
+        kept = layout.Loop.from_buffer_copy(loop)
         if rate is not None:
-            kept[_LOOP["RATE"]], kept[_LOOP["RATE_SLOPE"]] = rate, 0.0
+            kept.rate, kept.rate_slope = rate, 0.0
         self.take_path()
-        self._core.start_path(kept[_LOOP["CLOCK"]], kept[_LOOP["RATE"]])
-        kept[_LOOP["QUIET_AHEAD"]] = loop[_LOOP["QUIET_AHEAD"]]
-        loop[:] = kept
+        self._core.start_path(kept.clock, kept.rate)
+        kept.quiet_ahead = loop.quiet_ahead
+        self.at["loop"][:] = np.frombuffer(kept)
 
     def retarget_motion(self, path: ServoPath, goal: pin.SE3, full: float) -> bool | None:
         """Take the way to a new target as :class:`coopqp.QPController` does; None where the definition has to say."""
@@ -225,8 +223,8 @@ class CompiledLoop:
         self._core.observe(None, None)
         outcome = self._core.propose(self._put_rows(), False)
         self._said.clear()
-        proposal = self.at["proposal"]
-        rate = min(proposal.item(_P["CAP"]), proposal.item(_P["NEW_RATE"])) if outcome < _FILLED else 0.0
+        proposal = self._proposal
+        rate = min(proposal.cap, proposal.new_rate) if outcome < _FILLED else 0.0
         return rate, self.at["command"] - self.at["velocity"]
 
     def memory(self) -> Any:
@@ -247,12 +245,14 @@ class CompiledLoop:
     @property
     def clock(self) -> float:
         """The object's clock [s]."""
-        return self.at["loop"].item(_LOOP["CLOCK"])
+        clock: float = self._loop.clock
+        return clock
 
     @property
     def rate(self) -> float:
         """σ of the last step."""
-        return self.at["loop"].item(_LOOP["RATE"])
+        rate: float = self._loop.rate
+        return rate
 
     @property
     def q(self) -> Array:
@@ -293,31 +293,28 @@ class CompiledLoop:
         doubtful = None if self._doubtful is None else self._doubtful(slot)
         if doubtful is not None and not doubtful:
             return True
-        at, nv, n = self.at, self.cell.nv, len(layout.KNOT)
-        numbers, vectors = at["knots"][n * slot : n * slot + n], slice(nv * slot, nv * slot + nv)
+        at, nv, numbers = self.at, self.cell.nv, self._knots[slot]
+        vectors = slice(nv * slot, nv * slot + nv)
         q = self.cell.configuration_of(at["knot_positions"][vectors])
         slope, curvature = (at[f"knot_{name}"][vectors].copy() for name in ("slope", "curvature"))
         preview = self.options.preview
         share = 1.0 if preview is None else preview.curvature_share
-        span = numbers.item(_KNOT["K_SPAN"])
-        knot = Knot(numbers.item(_KNOT["K_CLOCK"]), CellState(self.cell, q), slope, curvature, span)
+        knot = Knot(numbers.clock, CellState(self.cell, q), slope, curvature, numbers.span)
         try:
             found = self.constraints.bound(knot, self.dt, share, doubtful)
             if self._certified is not None and doubtful is None:
                 quiet = self._certified.quiet_ahead
                 at["quiet_ahead_centre"][:], at["quiet_ahead_reach"][:] = quiet.centre, quiet.reach
-                at["loop"][_LOOP["QUIET_AHEAD"]] = quiet.slack
+                self._loop.quiet_ahead = quiet.slack
         except ConstraintTrouble as trouble:
-            numbers[_KNOT["K_CAP"]] = math.nan
+            numbers.cap = math.nan
             return self._cannot_say(str(trouble))
         if not found.cap > 0.0:
-            numbers[_KNOT["K_JOINT"]] = found.which
+            numbers.limit.joint = found.which
             return False
-        if found.cap < numbers[_KNOT["K_CAP"]]:
-            numbers[_KNOT["K_CAP"]] = found.cap
-            numbers[_KNOT["K_KIND"]], numbers[_KNOT["K_ARM"]] = layout.KINDS.index("CONSTRAINT"), -1
-            numbers[_KNOT["K_JOINT"]] = found.which
-        numbers[_KNOT["K_FALL"]], numbers[_KNOT["K_RISE"]] = found.decrease, found.rise
+        if found.cap < numbers.cap:
+            numbers.cap, numbers.limit = found.cap, (layout.KINDS.index("CONSTRAINT"), -1, found.which)
+        numbers.fall, numbers.rise = found.decrease, found.rise
         return True
 
     def _evade(self) -> bool:
@@ -342,23 +339,23 @@ class CompiledLoop:
 
     def finish(self, outcome: int | None = None) -> ControlStep:
         """Answer an open step, and commit it."""
-        p = self.at["proposal"]
-        outcome = int(p[_P["OUTCOME"]]) if outcome is None else outcome
+        p = self._proposal
+        outcome = int(p.outcome) if outcome is None else outcome
         if outcome == _ASK:
             rows, held = self._put_rows(), _CONSTRAINT_FAILED in self._said
             outcome = self._core.propose(rows, not held)
-        reason = self._said.get(int(p[_P["REASON"]]), "")
+        reason = self._said.get(int(p.reason), "")
         self._said.clear()
         report, open_reason = self._kept(outcome)
-        reason = reason or ("" if p[_P["REASON"]] else open_reason)
+        reason = reason or ("" if p.reason else open_reason)
         step: ControlStep = self._core.commit()
         if report is not None or reason:
             if reason and step.status is Status.OFF_PATH:  # how far it is off comes first
                 reason = f"{step.reason.partition('; ')[0]}; {reason}"
             amend(step, **({} if report is None else {"solver": report}), **({"reason": reason} if reason else {}))
-        if p[_P["REASON"]] == _CONSTRAINT_FAILED:
+        if p.reason == _CONSTRAINT_FAILED:
             amend(step, cause=self._held_by)
-        if p[_P["BRAKED"]] and not p[_P["HOLD"]]:
+        if p.braked and not p.hold:
             amend(step, cause=Cause.SOLVER)
         return step
 
@@ -366,7 +363,7 @@ class CompiledLoop:
         """Answer an open step; again with tighter rows if the command breaks their constraints."""
         report, reason = self._answered(outcome)
         for _ in range(MOST_TIGHTENINGS if len(self._further) else 0):
-            h, v = self.at["proposal"].item(_P["DT"]), self.at["command"]
+            h, v = self._proposal.dt, self.at["command"]
             rows = self.constraints.tightened(self._further, self.cell.moved(self.q, h * v), v, h)
             if rows is None:
                 break
@@ -380,7 +377,7 @@ class CompiledLoop:
         report, reason = None, ""
         if outcome == _FILLED:
             outcome, report = self._solve()
-            if is_long(self.at["command"], self.at["guess"], self.at["proposal"].item(_P["DT"])):
+            if is_long(self.at["command"], self.at["guess"], self._proposal.dt):
                 outcome = _OPEN  # the definition linearises again, with any solver
         if outcome == _OPEN:
             report, reason = self._by_definition()
@@ -400,14 +397,14 @@ class CompiledLoop:
         self._further = self._no_rows
         if not self.constraints.velocity:
             return 0
-        at, p = self.at, self.at["proposal"]
+        at, p = self.at, self._proposal
         try:
-            rows = self.constraints.rows(self.q, p.item(_P["DT"]), blind=not self._looks_ahead)
+            rows = self.constraints.rows(self.q, p.dt, blind=not self._looks_ahead)
         except ConstraintTrouble as trouble:
-            if p[_P["WATCH_CAP"]] > 0.0:
+            if p.watch_cap > 0.0:
                 self._said[_CONSTRAINT_FAILED], self._held_by = str(trouble), trouble.cause
-                p[_P["WATCH_CAP"]], p[_P["HOLD"]] = 0.0, 1.0
-                p[_P["REASON"]], p[_P["REASON_ARM"]] = _CONSTRAINT_FAILED, -1.0
+                p.watch_cap, p.hold = 0.0, 1.0
+                p.reason, p.reason_arm = _CONSTRAINT_FAILED, -1.0
             if trouble.rows is None:
                 return 0
             rows = trouble.rows
@@ -418,12 +415,12 @@ class CompiledLoop:
         self._further = rows
         if self._certified is not None:
             at["quiet_centre"][:], at["quiet_reach"][:], *slack = self._certified.quiet
-            at["loop"][_QUIET] = slack
+            self._loop.quiet_slack, self._loop.quiet_approach = slack
         return m
 
     def _all_rows(self) -> Rows:
         """The rows of the constraints, and those that brake all arms together."""
-        at, m, nv = self.at, int(self.at["proposal"][_P["ROWS"]]), self.cell.nv
+        at, m, nv = self.at, int(self._proposal.rows), self.cell.nv
         if m == len(self._further):
             return self._further
         lower, upper, soft, owner = (at[f"further_{name}"][:m].copy() for name in ("lower", "upper", "soft", "owner"))
@@ -431,17 +428,17 @@ class CompiledLoop:
 
     def _solve(self) -> tuple[int, SolverReport]:
         """The condensed QP that the core has filled in, by a solver of the user's choice."""
-        at, p = self.at, self.at["proposal"]
+        at, p = self.at, self._proposal
         further = self._all_rows()
         rows, unknowns = self.cell.nv + len(further), self._memory.sizes["unknowns"]
         self._show_box()
         base, columns = at["base"][:rows], at["columns"][: rows * unknowns].reshape(rows, unknowns)
-        x, report = self.solver.solve_filled(base, columns, at["unit"], p.item(_P["CAP"]), further)
+        x, report = self.solver.solve_filled(base, columns, at["unit"], p.cap, further)
         if x is None:
             return _OPEN, report
         at["x"][:unknowns] = x
-        p[_P["OUTCOME"]] = _QP if self._core.read(p.item(_P["CAP"])) else _OPEN
-        return int(p[_P["OUTCOME"]]), report
+        p.outcome = _QP if self._core.read(p.cap) else _OPEN
+        return int(p.outcome), report
 
     def _show_box(self) -> None:
         """The core's box in the definition's."""
@@ -452,22 +449,22 @@ class CompiledLoop:
 
     def _by_definition(self) -> tuple[SolverReport, str]:
         """Answer this step by the plain definition, in the core's memory."""
-        at, p, loop = self.at, self.at["proposal"], self.at["loop"]
+        at, p, loop = self.at, self._proposal, self._loop
         if self._shift is not None:
             self._chain.shift_grasp(self._shift)
         given = self._given()
         found = self._definition.answer(given)
         self._put_answer(found)
-        p[_P["OUTCOME"]] = _QP
+        p.outcome = _QP
         at["errors"][:], at["grasp"][:] = given.errors.ravel(), found.terms.grasp_corrections.ravel()
         at["offsets"][:], at["path"][:] = found.terms.offsets.ravel(), found.terms.path_correction
         at["foresees"][:] = found.foreseen.ravel()
-        at["stand_in"][:] = found.stand_in if loop[_LOOP["FIRST"]] else at["velocity"]
+        at["stand_in"][:] = found.stand_in if loop.first else at["velocity"]
         return found.answer.report, found.answer.reason
 
     def _given(self) -> StepInput:
-        at, p, loop, n = self.at, self.at["proposal"], self.at["loop"], len(self.cell)
-        predicted = at["predicted"].reshape(n, 6).copy() if loop[_LOOP["HAS_PREDICTED"]] else None
+        at, p, loop, n = self.at, self._proposal, self._loop, len(self.cell)
+        predicted = at["predicted"].reshape(n, 6).copy() if loop.has_predicted else None
         pose, carried = pin.SE3(at["R"].reshape(3, 3).copy(), at["p"].copy()), self._chain.carried(self.q)
         return StepInput(
             q=self.q,
@@ -476,35 +473,29 @@ class CompiledLoop:
             errors=self._chain.errors(carried, pose),
             v=at["velocity"].copy(),
             v_before=at["before"].copy(),
-            h=p.item(_P["DT"]),
-            cap=p.item(_P["CAP"]),
+            h=p.dt,
+            cap=p.cap,
             pose=pose,
             along=at["along"].copy(),
-            measured=at["measured"].copy() if p[_P["HAS_MEASURED"]] else None,
+            measured=at["measured"].copy() if p.has_measured else None,
             predicted=predicted,
             foreseen=0.0 if predicted is None else at["foreseen"].reshape(n, 6).copy(),
-            last_dt=loop.item(_LOOP["LAST_DT"]),
-            asked=at["asked_shift"].reshape(n, 6).copy()
-            if predicted is not None and loop[_LOOP["SHIFT_ASKED"]]
-            else None,
+            last_dt=loop.last_dt,
+            asked=at["asked_shift"].reshape(n, 6).copy() if predicted is not None and loop.shift_asked else None,
             null_along=at["null_along"].copy(),
             null_offset=at["null_offset"].copy(),
             further=self._all_rows(),
-            first=bool(loop[_LOOP["FIRST"]]),
-            hold=bool(p[_P["HOLD"]]),
+            first=bool(loop.first),
+            hold=bool(p.hold),
         )
 
     def _put_answer(self, found: LinearisedAnswer) -> None:
-        at, p, answer = self.at, self.at["proposal"], found.answer
+        at, p, answer = self.at, self._proposal, found.answer
         at["command"][:], at["off_path"][:] = answer.velocity, answer.off_path
         at["lower"][:], at["upper"][:] = self._box.lower, self._box.upper
-        values = {
-            "NEW_RATE": answer.rate, "GRASP_SHARE": answer.grasp_share, "PATH_SHARE": answer.path_share,
-            "PARTING": answer.chain, "BRAKED": answer.braked, "BINDING_ROW": -1.0, "BINDINGS": len(answer.active),
-            "ITERATIONS": answer.report.iterations, "CLOSES": found.closes, "MADE": found.makes_up,
-        }  # fmt: skip
-        for name, value in values.items():
-            p[_P[name]] = value
+        p.new_rate, p.grasp_share, p.path_share = answer.rate, answer.grasp_share, answer.path_share
+        p.parting, p.braked, p.binding_row, p.bindings = answer.chain, answer.braked, -1.0, len(answer.active)
+        p.iterations, p.closes, p.made = answer.report.iterations, found.closes, found.makes_up
         for i, (row, side) in enumerate(answer.active):
             at["bindings"][2 * i : 2 * i + 2] = row, side
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from typing import final
+from typing import Any, final
 
 import numpy as np
 
@@ -19,8 +19,6 @@ from coopqp.model.links import joint_links
 from coopqp.native import layout
 from coopqp.native.constants import LARGEST_MOVE, MOST_JOINTS
 from coopqp.spatial import Array
-
-_OPTIONS = {name: i for i, name in enumerate(layout.OPTIONS)}
 
 
 class NotForTheCore(Exception):  # noqa: N818
@@ -46,20 +44,25 @@ class Memory:
             memory = self.blocks[block] = np.zeros(max(end for _, end in places.values()) + gap)
             self.places += places.values()
             self.at.update({name: memory[begin:end] for name, (begin, end) in places.items()})
+        #: Fields of structs, with their members as attributes; ``knots`` is a sequence of them.
+        self.views: dict[str, Any] = layout.views(self.at)
 
     def of_rows(self) -> dict[str, Array]:
         """Inputs of further rows, and the places of the rows and of their quiet regions."""
         at, own = self.at, ("positions", "command", "quiet_centre", "quiet_reach")
-        loop, i, ahead = at["loop"], layout.LOOP.index("QUIET_SLACK"), layout.LOOP.index("QUIET_AHEAD")
         found = {name: at[name] for name in own} | {name: at[f"further_{name}"] for name in ("lower", "upper", "soft")}
-        dt = layout.PROPOSAL.index("DT")
+
+        def number(field: str, member: str) -> Array:
+            begin = layout.place(type(self.views[field]), member)
+            return at[field][begin : begin + 1]
+
         return found | {
-            "G": at["further"], "owner": at["further_owner"], "dt": at["proposal"][dt : dt + 1],
-            "quiet_slack": loop[i : i + 1], "quiet_approach": loop[i + 1 : i + 2],
+            "G": at["further"], "owner": at["further_owner"], "dt": number("proposal", "dt"),
+            "quiet_slack": number("loop", "quiet_slack"), "quiet_approach": number("loop", "quiet_approach"),
             **{name: at[name] for name in ("quiet_ahead_centre", "quiet_ahead_reach", "knots")},
             **{f"knot_{name}": at[f"knot_{name}"] for name in ("positions", "slope", "curvature")},
-            "quiet_ahead_slack": loop[ahead : ahead + 1], "quiet_ahead_approach": np.zeros(1),
-            "knot_numbers": np.array([len(layout.KNOT), layout.KNOT.index("K_SPAN")], dtype=float),
+            "quiet_ahead_slack": number("loop", "quiet_ahead"), "quiet_ahead_approach": np.zeros(1),
+            "knot_numbers": np.array([layout.SIZES["Knot"], layout.place(layout.Knot, "span")], dtype=float),
         }  # fmt: skip
 
 
@@ -113,8 +116,9 @@ def build_memory(
 
 def put_options(memory: Memory, chain: Chain, box: VelocityBox, options: QPOptions, dt: float) -> None:
     """Put the settings of a path into the memory; what belongs to the solver stays."""
-    _put_plan(chain, memory.at, options, dt)
-    _put_options(memory.at["options"], box, options, dt)
+    numbers = memory.views["options"]
+    _put_plan(chain, memory.at, numbers, options, dt)
+    _put_options(numbers, box, options, dt)
 
 
 def _arms(chain: Chain) -> tuple[list[int], list[int]]:
@@ -157,44 +161,44 @@ def _links_of(cell: RobotCell) -> tuple[Array, Array, Array, list[Array]]:
     return R.ravel(), p.ravel(), slides, aligned
 
 
-def _put_plan(chain: Chain, at: dict[str, Array], options: QPOptions, dt: float) -> None:
+def _put_plan(chain: Chain, at: dict[str, Array], numbers: Any, options: QPOptions, dt: float) -> None:
     plan = PlanLimits.of(chain.cell, options.preview or PreviewOptions(), dt=dt)
     at["plan_acceleration"][:] = plan.acceleration  # the way to a new target keeps to them without a preview, too
     if options.preview is None:
         return
     at["plan_speed"][:] = plan.speed
     at["plan_jump"][:], at["slope_change"][:] = plan.jump, plan.slope_change
-    at["options"][_OPTIONS["SLOPE_CAP"]] = plan.slope_cap
-    at["plan_room"][:], at["options"][_OPTIONS["ROOM"]] = plan.room, plan.room.max()
+    at["plan_room"][:] = plan.room
+    numbers.slope_cap, numbers.room = plan.slope_cap, plan.room.max()
 
 
-def _put_options(numbers: Array, box: VelocityBox, o: QPOptions, dt: float) -> None:
+def _put_options(numbers: Any, box: VelocityBox, o: QPOptions, dt: float) -> None:
     s, p, w = o.supervision, o.preview, o.weights
     low, high = s.dt_range
     values: dict[str, float] = {
-        "NOMINAL_DT": dt, "GRASP_GAIN": o.grasp_gain, "PATH_GAIN": o.path_gain,
-        "CORRECTION_SPEED": o.correction_speed, "CORRECTION_SPIN": o.correction_spin,
-        "MEASUREMENT_TIME": o.measurement_time, "SHORTCUT": o.shortcut, "ACCELERATES": box.accelerates,
-        "RECOVERY_UNIT": w.recovery**-0.5, "RELAX_UNIT": w.clearance**-0.5, "BLOCKED_RATE": o.blocked_rate,
-        "REIN_SLOPE": (p or PreviewOptions()).slope(accelerates=box.accelerates, dt=dt),
-        "OFF_PATH_DISTANCE": o.off_path_distance, "OFF_PATH_ANGLE": o.off_path_angle,
-        "POSTURE_GAIN": o.posture.gain, "CENTRING": o.posture.centring, "MANIPULABILITY": o.posture.manipulability,
-        "SLOW_FROM": -1.0 if s.slow_from is None else s.slow_from, "HOLD_FROM": s.hold_from, "LET_IN": s.let_in,
-        "NOISE_MARGIN": s.noise_margin, "RECOVERY_TIME": s.recovery_time, "FAULT_FROM": s.fault_from,
-        "STALL_SAMPLES": s.stall_samples or 0, "STALL_SHARE": s.stall_share, "SILENT_TIME": s.silent_time,
-        "FILTER_TIME": s.filter_time, "DT_LOW": low, "DT_HIGH": high, "JOINT_JUMP": s.joint_jump,
-        "WATCHES_FORCE": s.stiffness is not None, "FORCE_LIMIT": s.force_limit, "SERVO_DELAY": s.servo_delay,
-        "APART_HOLD": math.inf if s.apart_from is None else s.apart_from,
+        "nominal_dt": dt, "grasp_gain": o.grasp_gain, "path_gain": o.path_gain,
+        "correction_speed": o.correction_speed, "correction_spin": o.correction_spin,
+        "measurement_time": o.measurement_time, "shortcut": o.shortcut, "accelerates": box.accelerates,
+        "recovery_unit": w.recovery**-0.5, "relax_unit": w.clearance**-0.5, "blocked_rate": o.blocked_rate,
+        "rein_slope": (p or PreviewOptions()).slope(accelerates=box.accelerates, dt=dt),
+        "off_path_distance": o.off_path_distance, "off_path_angle": o.off_path_angle,
+        "posture_gain": o.posture.gain, "centring": o.posture.centring, "manipulability": o.posture.manipulability,
+        "slow_from": -1.0 if s.slow_from is None else s.slow_from, "hold_from": s.hold_from, "let_in": s.let_in,
+        "noise_margin": s.noise_margin, "recovery_time": s.recovery_time, "fault_from": s.fault_from,
+        "stall_samples": s.stall_samples or 0, "stall_share": s.stall_share, "silent_time": s.silent_time,
+        "filter_time": s.filter_time, "dt_low": low, "dt_high": high, "joint_jump": s.joint_jump,
+        "watches_force": s.stiffness is not None, "force_limit": s.force_limit, "servo_delay": s.servo_delay,
+        "apart_hold": math.inf if s.apart_from is None else s.apart_from,
     }  # fmt: skip
     if p is not None:
         values |= {
-            "RISE": p.slope(accelerates=box.accelerates, dt=dt), "LOOKS_AHEAD": 1.0, "CAPS_SPEED": box.accelerates,
-            "CELL": p.cell, "JOINT_STEP": p.joint_step,
-            "SLOPE_STEP": p.slope_step, "SHORTEST": p.shortest, "CURVATURE_SHARE": p.curvature_share, "DOUBT": p.doubt,
-            "SINGULAR_RATE": p.singular_rate, "NEWTON_STEPS": p.newton_steps,
+            "rise": p.slope(accelerates=box.accelerates, dt=dt), "looks_ahead": 1.0, "caps_speed": box.accelerates,
+            "cell": p.cell, "joint_step": p.joint_step,
+            "slope_step": p.slope_step, "shortest": p.shortest, "curvature_share": p.curvature_share, "doubt": p.doubt,
+            "singular_rate": p.singular_rate, "newton_steps": p.newton_steps,
         }  # fmt: skip
     for name, value in values.items():
-        numbers[_OPTIONS[name]] = value
+        setattr(numbers, name, value)
 
 
 def same_kinematics(chain: Chain, linearise: object, *, samples: int = 3, tolerance: float = 1e-9) -> bool:

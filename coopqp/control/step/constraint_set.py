@@ -253,7 +253,7 @@ class Constraints:
         """
         cap, decrease, rise, which = np.inf, np.inf, np.inf, -1
         for i, constraint in self._certified:
-            label = constraint.room(knot) if among is None else constraint.room(knot, among)
+            label = constraint.stopping_pair(knot) if among is None else constraint.stopping_pair(knot, among)
             if label >= 0:
                 return Bound(-1.0, np.inf, np.inf, self._first[i] + label)
         rows = self._joined(self._uncertified_rows(knot.state, dt))

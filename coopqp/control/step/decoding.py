@@ -23,7 +23,6 @@ from coopqp.paths.guarded import jump
 from coopqp.paths.path import ObjectPath
 from coopqp.spatial import Array
 
-_R = {name: i for i, name in enumerate(layout.RECORD)}
 _KINDS = {code: LimitKind[name] for code, name in enumerate(layout.KINDS) if name != "NONE"}
 _REASONS = {name: code for code, name in enumerate(layout.REASONS)}
 #: Causes of reasons, by their codes: the arms, nothing that slows, or an input that cannot be used.
@@ -68,13 +67,15 @@ class RecordReader:
         self.cell, self.grasp, self.path = cell, grasp, path
         self._solver, self._constraints = solver, constraints
         self._force_limit, self._dt_range = supervision.force_limit, [share * dt for share in supervision.dt_range]
-        self._q = len(layout.RECORD)
+        self._q = layout.SIZES["Record"]
         velocity = self._q + cell.nq
         q_next = velocity + cell.nv
         self._off_path = q_next + cell.nq
         self.nq, self.nv = cell.nq, cell.nv
         self.q_at, self.velocity_at, self.q_next_at = 8 * self._q, 8 * velocity, 8 * q_next
-        self.dt_at, self.clock_at, self.clock_next_at = 8 * _R["R_DT"], 8 * _R["R_CLOCK"], 8 * _R["R_CLOCK_NEXT"]
+        self.dt_at, self.clock_at, self.clock_next_at = (
+            getattr(layout.Record, name).offset for name in ("dt", "clock", "clock_next")
+        )
 
     def read(self, record: bytes, name: str) -> Any:
         """Value of the attribute ``name`` of :class:`coopqp.ControlStep`."""
@@ -82,35 +83,35 @@ class RecordReader:
             return getattr(self, name)
         if name == "build_time_s":
             return 0.0
-        return getattr(self, f"_read_{name}")(np.frombuffer(record))
+        return getattr(self, f"_read_{name}")(layout.Record.from_buffer_copy(record), np.frombuffer(record))
 
-    def _read_reason(self, r: Array) -> str:
-        distance, angle = r.item(_R["R_AWAY"]), r.item(_R["R_TURNED"])
+    def _read_reason(self, s: Any, r: Array) -> str:
+        distance, angle = s.away, s.turned
         away = off_path(distance, angle) if distance > 0.0 or angle > 0.0 else ""
-        holds = STATUSES[int(r.item(_R["R_STATUS"]))] in (Status.HOLDING, Status.FAULT)
+        holds = STATUSES[int(s.status)] in (Status.HOLDING, Status.FAULT)
         near = "" if holds else too_close(self._constraints.inside(self._q_of(r)))
-        return "; ".join(filter(None, (away, self._read_code(r), near)))
+        return "; ".join(filter(None, (away, self._read_code(s), near)))
 
-    def _read_code(self, r: Array) -> str:
-        code = int(r.item(_R["R_REASON"]))
+    def _read_code(self, s: Any) -> str:
+        code = int(s.reason)
         if code == _REASONS["NO_REASON"]:
             return ""
-        given = r[_R["R_REASON_ARM"] : _R["R_REASON_B"] + 1].tolist()
+        given = s.reason_arm, s.reason_a, s.reason_b
         if code == _REASONS["BAD_DT"]:
             return refused_dt(given[1], *self._dt_range)
         return reason(self.cell, self._force_limit, code, *given)
 
-    def _read_commanded_apart(self, r: Array) -> float:
-        return float(r.item(_R["R_APART"]))
+    def _read_commanded_apart(self, s: Any, r: Array) -> float:
+        return float(s.apart)
 
-    def _read_cause(self, r: Array) -> Cause | None:
-        status, code = STATUSES[int(r.item(_R["R_STATUS"]))], int(r.item(_R["R_REASON"]))
+    def _read_cause(self, s: Any, r: Array) -> Cause | None:
+        status, code = STATUSES[int(s.status)], int(s.reason)
         watched = CAUSES[code] if code else None
-        return cause_of(status, watched, self._read_binding(r), measured=r.item(_R["R_MEASURED"]) != 0.0)
+        return cause_of(status, watched, self._read_binding(s, r), measured=s.measured != 0.0)
 
-    def _read_binding(self, r: Array) -> tuple[BindingLimit, ...]:
+    def _read_binding(self, s: Any, r: Array) -> tuple[BindingLimit, ...]:
         begin = self._off_path + 6
-        entries = r[begin : begin + 4 * int(r[_R["R_BINDINGS"]])].reshape(-1, 4)
+        entries = r[begin : begin + 4 * int(s.bindings)].reshape(-1, 4)
         binding = tuple(self.limit(*(int(x) for x in entry)) for entry in entries)
         if not self._constraints:
             return binding
@@ -120,7 +121,7 @@ class RecordReader:
     def _q_of(self, r: Array) -> Array:
         return r[self._q : self._q + self.nq]
 
-    def _read_clearance(self, r: Array) -> NearPair | None:
+    def _read_clearance(self, s: Any, r: Array) -> NearPair | None:
         return self._constraints.nearest(self._q_of(r))
 
     def limit(self, kind: int, arm: int, joint: int, constraint: int) -> BindingLimit:
@@ -131,18 +132,17 @@ class RecordReader:
             return self.cell.joint_limit(joint, _KINDS[kind])
         return BindingLimit(self.cell.arm_names[arm] if arm >= 0 else "", "", _KINDS[kind])
 
-    def _read_given_up(self, r: Array) -> GivenUp:
+    def _read_given_up(self, s: Any, r: Array) -> GivenUp:
         off_path = tuple(r[self._off_path : self._off_path + 6].tolist())
-        lost = [1.0 - r.item(_R[name]) for name in ("R_GRASP_SHARE", "R_PATH_SHARE", "R_RATE")]
-        parting = r.item(_R["R_PARTING"])
+        lost, parting = [1.0 - share for share in (s.grasp_share, s.path_share, s.rate)], s.parting
         if not (any(lost) or any(off_path) or parting):
             return NOTHING
         return GivenUp(chain=parting, grasp=lost[0], off_path=off_path, path=lost[1], rate=lost[2])
 
-    def _read_solver(self, r: Array) -> SolverReport:
-        if r[_R["R_OUTCOME"]] != layout.OUTCOMES.index("QP"):
+    def _read_solver(self, s: Any, r: Array) -> SolverReport:
+        if s.outcome != layout.OUTCOMES.index("QP"):
             return NO_SOLVE
-        return SolverReport(self._solver, "solved", int(r[_R["R_ITERATIONS"]]))
+        return SolverReport(self._solver, "solved", int(s.iterations))
 
 
 _BOTH = (_REASONS["CHAIN_APART"], _REASONS["CHAIN_PARTED"])

@@ -14,7 +14,7 @@ from coopqp.checks import Doc, as_options, documented, keep_scalars
 from coopqp.collision.pairs import pairs_said
 from coopqp.control.interface import Status
 from coopqp.model.cell import RobotCell, slides
-from coopqp.planning.clearance import remark
+from coopqp.planning.clearance_check import remark
 from coopqp.simulation.evaluation import metrics
 from coopqp.simulation.evaluation.figures import ramps
 from coopqp.simulation.evaluation.metrics import said

@@ -16,8 +16,8 @@ import coal
 import numpy as np
 import pinocchio as pin
 
+from coopqp.collision.coal_geometry import reach_of
 from coopqp.collision.distances import Distances, new_request
-from coopqp.collision.geometry import reach_of
 from coopqp.collision.scene import CollisionScene
 from coopqp.errors import InvalidInputError
 from coopqp.model.cell import RobotCell
@@ -346,7 +346,7 @@ def _nearest(
 
     The controllers' distances choose the pair; the judge says its distance.
     """
-    distances, apart, points = Distances(scene), list[float](), []
+    distances, apart, points = Distances(scene.built), list[float](), []
     for row in q:
         k = pairs[int(distances.all(row)[pairs].argmin())]
         apart.append(closeness.at(row, k))

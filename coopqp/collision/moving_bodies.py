@@ -4,22 +4,19 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, final
+from typing import Any, final
 
 import numpy as np
 import pinocchio as pin
 
 from coopqp.checks import as_vector
+from coopqp.collision.built_scene import BuiltScene
 from coopqp.collision.distances import Gradient
 from coopqp.constraints.velocity import MOST_ROWS, LabelledRows
 from coopqp.errors import UnknownNameError
 from coopqp.model.limits import BindingLimit, LimitKind
 from coopqp.native.constants import BRAKING_SHARE
 from coopqp.spatial import Array, as_placement
-
-if TYPE_CHECKING:
-    from coopqp.collision.scene import CollisionScene
-
 
 #: Speed at which a body that gives way is asked to retreat, at most [m/s].
 _FASTEST_RETREAT = 0.5
@@ -43,7 +40,7 @@ class MovingBodies:
     """The moving bodies of a scene; false without any.
 
     Args:
-        scene: what may touch what.
+        built: what may touch what.
         approach, give_way, stopping: as in :class:`coopqp.Clearance`.
 
     Attributes:
@@ -53,13 +50,12 @@ class MovingBodies:
         most_rows: largest number of these rows.
     """
 
-    def __init__(self, scene: CollisionScene, *, approach: float, give_way: bool, stopping: float) -> None:
-        built, cell = scene.built, scene.cell
+    def __init__(self, built: BuiltScene, *, approach: float, give_way: bool, stopping: float) -> None:
+        cell = built.cell
         self._cell, self._approach, self._give_way, self._stopping = cell, approach, give_way, stopping
-        self._places = {b.name: _Place(as_placement(b.placement, b.name), np.zeros(6)) for b in scene.moving}
-        self._shapes = {b.name: i for b, i in zip(scene.moving, built.moving, strict=True)}
-        self._second = np.array([int(pair.second) for pair in built.geometry.collisionPairs], dtype=int)
-        self.moves = np.isin(self._second, list(self._shapes.values()))
+        self._places = {b.name: _Place(as_placement(b.placement, b.name), np.zeros(6)) for b in built.moving_bodies}
+        self._shapes = {b.name: i for b, i in zip(built.moving_bodies, built.moving, strict=True)}
+        self._second, self.moves = built.second, built.moves
         self.pairs = np.flatnonzero(self.moves)
         speed, self._acceleration = cell.limits.velocity, cell.limits.acceleration
         joints = np.flatnonzero(np.isfinite(speed) & ~np.isfinite(self._acceleration))
@@ -111,15 +107,15 @@ class MovingBodies:
         way[turns] = np.remainder(way[turns] + np.pi, 2.0 * np.pi) - np.pi
         self._v, self._x = way / dt, x
 
-    def bound(self, near: Any, rooms: Array, gradient: Gradient, lower: Array, dt: float) -> None:
-        """Put lower bounds of near pairs with their rooms (m,)."""
+    def bound(self, near: Any, clearances: Array, gradient: Gradient, lower: Array, dt: float) -> None:
+        """Put lower bounds of near pairs with their clearances (m,)."""
         for name, place in self._places.items():
             own = self._second[near] == self._shapes[name]
             if own.any():
                 some = Gradient(*(part[own] for part in gradient))
-                lower[own] = self._lower(place, rooms[own], some, dt)
+                lower[own] = self._lower(place, clearances[own], some, dt)
 
-    def _lower(self, place: _Place, room: Array, gradient: Gradient, dt: float) -> Array:
+    def _lower(self, place: _Place, clearance: Array, gradient: Gradient, dt: float) -> Array:
         """Bounds (m,) where a body comes closer at u = −n · v, the arms coming closer at s = −ḋ.
 
         While the arms stop, in the time T and half of it at their present speed, the body goes on:
@@ -132,12 +128,12 @@ class MovingBodies:
         velocity = place.twist[:3] + np.cross(place.twist[3:], gradient.points - place.T_world_body.translation)
         closing, T = -np.einsum("ij,ij->i", gradient.normals, velocity), self._stopping
         if self._give_way:
-            retreat: Array = np.minimum(closing - self._approach * room, _FASTEST_RETREAT)
+            retreat: Array = np.minimum(closing - self._approach * clearance, _FASTEST_RETREAT)
             return retreat
         u, (s, a) = np.maximum(closing, 0.0), self._braking(gradient.rows)
-        in_time, b = (room - u * (dt + T)) / (dt + 0.5 * T), u + a * dt
-        in_room = np.sqrt(np.maximum(b**2 + 2.0 * a * (room - u * dt), 0.0)) - b
-        lower: Array = -np.maximum(np.maximum(in_time, np.minimum(s - a * dt, in_room)), 0.0)
+        in_time, b = (clearance - u * (dt + T)) / (dt + 0.5 * T), u + a * dt
+        in_reach = np.sqrt(np.maximum(b**2 + 2.0 * a * (clearance - u * dt), 0.0)) - b
+        lower: Array = -np.maximum(np.maximum(in_time, np.minimum(s - a * dt, in_reach)), 0.0)
         return lower
 
     def _braking(self, G: Array) -> tuple[Array, Array]:

@@ -1,4 +1,4 @@
-"""Result of a path check for distances, and the protocol of the bodies; see :mod:`coopqp.collision.along`."""
+"""Result of a path check for distances, and the protocol of the bodies; see :mod:`coopqp.collision.path_check`."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ class ClearanceCheck:
         pair: the pair that comes nearest to its margin, with its distance; None if no pair keeps a distance.
         margin: margin of that pair [m].
         clock: clock of that distance [s].
-        room: lower bound of distance less margin along the whole path [m]; −inf where nothing is proved.
+        proved: lower bound of distance less margin along the whole path [m]; −inf where nothing is proved.
         stop: clock [s] at which the first pair comes inside its margin; None if none does.
         stopped_by: that pair, and its distance there.
         undecided: intervals [a, b] of the clock that are not decided (U, 2) [s].
@@ -41,7 +41,7 @@ class ClearanceCheck:
     pair: NearPair | None
     margin: float
     clock: float
-    room: float
+    proved: float
     stop: float | None
     stopped_by: NearPair | None
     undecided: Array
@@ -59,7 +59,7 @@ class ClearanceCheck:
             return "distances: no pair keeps one."
         closest = f"{_mm(self.pair.distance)}, {self.pair.first} and {self.pair.second} at {self.clock:.2f} s"
         if self.verdict is PathVerdict.CERTIFIED:
-            least = _mm(self.room + self.margin)
+            least = _mm(self.proved + self.margin)
             return f"distances: all margins are kept, which is proved; closest {closest} (proved: at least {least})."
         if self.verdict is PathVerdict.SAMPLED:
             return f"distances: all margins are kept at samples; closest {closest}. {self.why}."
@@ -92,7 +92,7 @@ class ClearanceCheck:
             "closest": named(self.pair),
             "margin_m": self.margin,
             "clock_s": self.clock,
-            "room_m": self.room if np.isfinite(self.room) else None,
+            "proved_m": self.proved if np.isfinite(self.proved) else None,
             "stop_s": self.stop,
             "stopped_by": named(self.stopped_by),
             "undecided_s": self.undecided.tolist(),

@@ -3,29 +3,30 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any, final
+from typing import Any, final
 
 import numpy as np
 
+from coopqp.collision.coal_geometry import LARGE_HULL, convex, geometry_of
 from coopqp.collision.decomposition import convex_parts, require_decomposer
-from coopqp.collision.geometry import LARGE_HULL, convex, geometry_of
 from coopqp.collision.pairs import Names
 from coopqp.errors import InvalidInputError
+from coopqp.model.cell import RobotCell
 from coopqp.model.shapes import Body
-
-if TYPE_CHECKING:
-    from coopqp.collision.scene import CollisionScene
 
 #: Convex parts that leave out more of their mesh than this are named [m].
 _UNCOVERED = 1e-4
 
 
 @final
-class Shapes:
+class ConvexShapes:
     """Convex geometries for the bodies of a scene.
 
     Args:
-        scene: whose bodies they are.
+        cell: the arms with their links' shapes.
+        standing: other bodies that do not move by themselves.
+        moving: those that do.
+        decompose: names of the bodies that count as their convex parts.
 
     Attributes:
         notes: remarks by the name of the body.
@@ -35,30 +36,26 @@ class Shapes:
         InvalidInputError, UnknownNameError: ``decompose`` names a moving body, which has one shape, or no body.
     """
 
-    def __init__(self, scene: CollisionScene) -> None:
+    def __init__(
+        self, cell: RobotCell, standing: Sequence[Body], moving: Sequence[Body], decompose: Sequence[str]
+    ) -> None:
         self.notes: dict[str, str] = {}
         self._factors: dict[str, float] = {}
         self._decomposed: set[str] = set()
-        if scene.decompose:
+        if decompose:
             require_decomposer()
-            moving = [body.name for body in scene.moving if body.name in scene.decompose]
-            if moving:
+            moved = [body.name for body in moving if body.name in decompose]
+            if moved:
                 raise InvalidInputError(
-                    f"{moving[0]} moves", "CollisionScene: decompose", "Give the parts of a moving body one by one."
+                    f"{moved[0]} moves", "CollisionScene: decompose", "Give the parts of a moving body one by one."
                 )
-            links = [scene.cell.model.frames[s.parentFrame].name for s in scene.cell.collision_model().geometryObjects]
-            bodies = (
-                *scene.carried,
-                *scene.obstacles,
-                *scene.moving,
-                *(b for on in scene.on_links.values() for b in on),
-            )
-            known = Names([*links, *(body.name for body in bodies)], scene.cell.arm_names)
-            for pattern in scene.decompose:
+            links = [cell.model.frames[shape.parentFrame].name for shape in cell.collision_model().geometryObjects]
+            known = Names([*links, *(body.name for body in (*standing, *moving))], cell.arm_names)
+            for pattern in decompose:
                 self._decomposed |= known.matching(pattern, "CollisionScene: decompose")
 
     def of_body(self, body: Body) -> Sequence[Any]:
-        """The geometries of a body. Raises as :func:`coopqp.collision.geometry.convex`."""
+        """The geometries of a body. Raises as :func:`coopqp.collision.coal_geometry.convex`."""
         where = f"Body '{body.name}'"
         return self.of(body.name, geometry_of(body.shape, where), where)
 
