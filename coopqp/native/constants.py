@@ -142,6 +142,8 @@ TURN_LENGTH = 0.3  # 1 rad of turning counts as this many metres where direction
 AT_REST = 1e-3  # commanded joint velocities below this are rest [rad/s or m/s]
 SERVOS_SETTLED = 0.2  # after this long at rest servos have settled [s]
 UNBALANCED = 0.3  # share of the largest wrench from which on wrenches do not cancel
+PACE_TIME = 0.01  # the pace of a force is seen over this time [s]
+SOON = 0.025  # a force from LET_GO of the limit on holds where its pace would bring it there in this time [s]
 STRAIGHT_BACK = 0.95  # cosine from which on an arm's way back is taken for the cause
 
 # -- forces from the sensors -------------------------------------------------------------------------------------------

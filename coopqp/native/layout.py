@@ -112,7 +112,7 @@ KINDS = (
 REASONS = (
     "NO_REASON", "BAD_DT", "NOT_FINITE", "OFF_CIRCLE", "JUMPED", "CHAIN_APART", "CHAIN_PARTED", "OUT_OF_STEP_BY",
     "WAS_OUT_OF_STEP", "STALLED", "ALL_STALLED", "FORCE", "HANGS_BEHIND", "PATH_FAILED", "PATH_JUMPS",
-    "LOOK_AHEAD_FAILED", "CONSTRAINT_FAILED", "OFF_SERVOS", "TOUCHING", "OFF_LAG",
+    "LOOK_AHEAD_FAILED", "CONSTRAINT_FAILED", "OFF_SERVOS", "TOUCHING", "OFF_LAG", "FORCE_GROWS",
 )  # fmt: skip
 
 #: The fields of each block: name and size. A size that begins with a struct is of a field of such structs.
@@ -137,7 +137,7 @@ STATE = (
     ("stalled", "n"), ("widest", "n"), ("lost", "n"), ("seen", "nq"), ("history", "2 * nv * past"),
     ("slow_drift", "6 * n"), ("lag", "6 * n"), ("apart", "6 * n"), ("drift_last", "nv"),
     ("lag_base", "6"), ("lag_told", "6"), ("lag_way", "6"),
-    ("deflection", "nv"), ("way", "nv"), ("commanded", "nv"), ("forces", "n"),
+    ("deflection", "nv"), ("way", "nv"), ("commanded", "nv"), ("forces", "n"), ("slow_forces", "n"),
     ("ahead", "Ahead"), ("ahead_R", "9 * n"), ("ahead_p", "3 * n"), ("kinks", "kinks"),
     ("seek_low", "12"), ("seek_high", "12"), ("told_velocity", "nv"),
     ("knots", "Knot * knots"), ("knot_positions", "nv * knots"), ("knot_slope", "nv * knots"),

@@ -478,15 +478,28 @@ static int read_forces(Core *c, const double *positions, double dt) {
     return most;
 }
 
-/* Arms that press too hard on the object hold it, until they press less than half as hard. */
+/* What the force of arm k comes to soon at its pace, from LET_GO of the limit on. */
+static double force_soon(Core *c, int k, double dt) {
+    c->slow_forces[k] += dt / (PACE_TIME + dt) * (c->forces[k] - c->slow_forces[k]);
+    if (!(c->forces[k] >= LET_GO * c->options->force_limit)) return c->forces[k];
+    return c->forces[k] + SOON / PACE_TIME * fmax(c->forces[k] - c->slow_forces[k], 0.0);
+}
+
+/* Arms that press too hard on the object, or soon will, hold it until they press less than half as hard. */
 static void watch_forces(Core *c, const double *positions, double dt, Seen *seen) {
     Watch *w = c->watch;
     const double limit = c->options->force_limit;
     const int most = read_forces(c, positions, dt);
-    w->pressed = !(c->forces[most] < (w->pressed != 0.0 ? LET_GO * limit : limit));
+    double soon = 0.0;
+    for (int k = 0; k < c->arms; k++) {
+        const double own = force_soon(c, k, dt);
+        if (k == most) soon = own;
+    }
+    const double force = c->forces[most];
+    w->pressed = !(soon < (w->pressed != 0.0 ? LET_GO * limit : limit));
     if (w->pressed == 0.0) return;
     if (w->behind < 0.0)
-        hold_for(seen, FORCE, most, c->forces[most], 0.0);
+        hold_for(seen, force < limit && soon >= limit ? FORCE_GROWS : FORCE, most, force, soon);
     else
         hold_for(seen, HANGS_BEHIND, (int)w->behind, w->gap, w->pull);
 }
@@ -553,7 +566,7 @@ static void watch_sample(Core *c, const double *positions, const double *q, cons
 
 static void watch_reset(Core *c) {
     const size_t arms = sizeof(double) * (size_t)c->arms, joints = sizeof(double) * (size_t)c->joints;
-    double *of_arms[] = {c->noise, c->stalled, c->widest, c->lost, c->forces};
+    double *of_arms[] = {c->noise, c->stalled, c->widest, c->lost, c->forces, c->slow_forces};
     double *of_distances[] = {c->deviation, c->away, c->away_step, c->slow_drift, c->lag, c->apart};
     *c->watch = Watch{};
     c->watch->watch_rate = 1.0;

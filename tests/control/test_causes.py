@@ -77,6 +77,7 @@ def test_every_reason_has_a_cause() -> None:
         "HANGS_BEHIND",
         "OFF_SERVOS",
         "OFF_LAG",
+        "FORCE_GROWS",
     }
     assert {name for name, cause in named.items() if cause is Cause.INPUT} == inputs
     assert {name for name, cause in named.items() if cause is Cause.TRACKING} == apart

@@ -157,12 +157,33 @@ def test_arms_that_press_too_hard_are_held_until_they_press_half_as_hard() -> No
     probe = StressWatch(lift.cell, lift.grasp, stiffness=np.full(18, 1e5), delay=0.0, filter_time=0.0)
     probe.read(q - unit, q, 1e-3)
     per_newton = unit / probe.forces[1]
-    held = []
-    for force in (50.0, 99.0, 101.0, 90.0, 51.0, 49.0, 99.0):
-        seen = watch.watch(q - force * per_newton, q, still, 1e-3)
+    held, last = [], 0.0
+    for force in (50.0, 95.0, 101.0, 90.0, 51.0, 49.0, 95.0):
+        for now in np.linspace(last, force, 100):  # slowly
+            seen = watch.watch(q - now * per_newton, q, still, 0.01)
+        last = force
         held.append(seen.hold)
-        assert seen.reason.startswith(f"{force:.0f} N at the grasp of arm slave_1") is seen.hold
+        assert seen.reason.startswith(f"{force:.0f} N at the grasp of arm slave_1 by its servos (limit") is seen.hold
     assert held == [False, False, True, True, True, False, False]
+
+
+@pytest.mark.parametrize(("pace", "force"), [(1e3, 75.0), (2.5e3, 50.0), (1e4, 50.0), (100.0, 97.5)])
+def test_arms_that_will_press_too_hard_are_held_before_they_do(pace: float, force: float) -> None:
+    """A force that would come to its limit within 25 ms holds, from half of it on."""
+    lift = paper_lift()
+    options = SupervisionOptions(stiffness=1e5, force_limit=100.0, filter_time=0.0)
+    watch = Supervision(lift.cell, lift.grasp, options)
+    probe = StressWatch(lift.cell, lift.grasp, stiffness=np.full(18, 1e5), delay=0.0, filter_time=0.0)
+    unit, dt = 1e-4 * np.eye(18)[7], 1e-4
+    probe.read(lift.q_start - unit, lift.q_start, dt)
+    grows = pace * dt * unit / probe.forces[1]
+    for i in range(round(100.0 / (pace * dt))):
+        seen = watch.watch(lift.q_start - i * grows, lift.q_start, np.zeros((3, 6)), dt)
+        if seen.hold:
+            break
+    assert pace * dt * i == pytest.approx(force, abs=5.0 + pace * dt)
+    assert "N at the grasp of arm slave_1 by its servos, soon 1" in seen.reason
+    assert seen.cause is Cause.TRACKING
 
 
 def watch_of(**options: Any) -> Callable[[float, float], Watch]:

@@ -84,8 +84,9 @@ class SupervisionOptions:
     force_limit: Annotated[
         float,
         Doc(
-            "force at a grasp, by the servos, at which the object is held [N]; it goes on below half of "
-            "it. It has to be more than what noise, the share of the load and inertia make of it"
+            "force at a grasp, by the servos, at which the object is held [N], and from half of it on where it would "
+            "come to it within 25 ms at its pace; it goes on below half of it. It has to be more than what noise, the "
+            "share of the load and inertia make of it"
         ),
     ] = 300.0
     servo_delay: Annotated[

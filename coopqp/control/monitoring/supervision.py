@@ -368,18 +368,20 @@ class Supervision:
             result.lower(Watch(cap, hold=cap == 0.0, arm=arm, reason=reason, cause=Cause.TRACKING))
 
     def _watch_stress(self, stress: StressWatch, measured: Array, commanded: Array, dt: float, result: Watch) -> None:
-        """Arms that press too hard on the object hold it, until they press less than half as hard."""
+        """Arms that press too hard on the object, or soon will, hold it until they press less than half as hard."""
         limit = self._options.force_limit
         stress.read(measured, commanded, dt)
         most = int(stress.forces.argmax())
         force = float(stress.forces[most])
-        self._pressed = force >= (LET_GO * limit if self._pressed else limit)
+        soon = stress.soon(most, limit)
+        self._pressed = soon >= (LET_GO * limit if self._pressed else limit)
         if not self._pressed:
             return
         result.rate_cap, result.hold, names = 0.0, True, self._cell.arm_names
         if stress.behind < 0:
             result.arm = most
-            result.reason = f"{force:.0f} N at the grasp of arm {names[most]} by its servos (limit {limit:g} N)"
+            grows = f", soon {soon:.0f} N" if force < limit <= soon else ""
+            result.reason = f"{force:.0f} N at the grasp of arm {names[most]} by its servos{grows} (limit {limit:g} N)"
         else:
             result.arm = stress.behind
             result.reason = (

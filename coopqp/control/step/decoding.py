@@ -28,6 +28,7 @@ _REASONS = {name: code for code, name in enumerate(layout.REASONS)}
 #: Causes of reasons, by their codes: the arms, nothing that slows, or an input that cannot be used.
 _BY_ARMS = (
     "OUT_OF_STEP_BY", "WAS_OUT_OF_STEP", "STALLED", "ALL_STALLED", "FORCE", "HANGS_BEHIND", "OFF_SERVOS", "OFF_LAG",
+    "FORCE_GROWS",
 )  # fmt: skip
 CAUSES = {code: Cause.TRACKING if name in _BY_ARMS else Cause.INPUT for name, code in _REASONS.items()} | {
     _REASONS["CHAIN_APART"]: None,
@@ -163,6 +164,7 @@ _SENTENCES = {
     "WAS_OUT_OF_STEP": "arm {arm} was out of step",
     "STALLED": "arm {arm} does not follow its command (stalled)",
     "FORCE": "{a:.0f} N at the grasp of arm {arm} by its servos (limit {limit:g} N)",
+    "FORCE_GROWS": "{a:.0f} N at the grasp of arm {arm} by its servos, soon {b:.0f} N (limit {limit:g} N)",
     "OFF_SERVOS": "arm {arm} is {mm:.2f} mm from where its wrench puts its servos",
     "OFF_LAG": OFF_LAG,
     "HANGS_BEHIND": (
