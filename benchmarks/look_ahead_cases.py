@@ -117,7 +117,7 @@ class _Slopes:
         chain.linearise(q, about=pose.translation)
         twist = path.twist(min(max(clock, 1e-9), path.duration - 1e-9))
         along = np.concatenate([pose.rotation @ twist[:3], pose.rotation @ twist[3:]])
-        out: Array = chain.joint_velocities(np.broadcast_to(along, (chain.n_arms, 6)), np.empty(chain.nv))
+        out: Array = chain.joint_velocities(np.broadcast_to(along, (chain.n_arms, 6)))
         return out
 
 
@@ -386,7 +386,7 @@ _ON_PATH = 1e-9
 def _towards_the_middle(task: Scenario, *, steps: int = 150) -> Array | None:
     """Positions along the path that lead every joint towards the middle of its limits; None where they leave these."""
     cell, chain = task.cell, Chain(task.cell, task.grasp)
-    limits, q, velocity = cell.limits, task.q_start, np.empty(task.cell.nv)
+    limits, q = cell.limits, task.q_start
     middle, half = 0.5 * (limits.lower + limits.upper), 0.5 * (limits.upper - limits.lower)
     x = cell.positions(q)
     gain = 2.0 * float(np.random.default_rng(len(task.name)).uniform(0.2, 1.0))
@@ -402,7 +402,7 @@ def _towards_the_middle(task: Scenario, *, steps: int = 150) -> Array | None:
                 return None
             if i < 2:  # then the joints hardly move any more
                 chain.linearise(q, about=pose.translation)
-            step = chain.joint_velocities(np.hstack([-errors[:, :3] @ R.T, -errors[:, 3:] @ R.T]), velocity).copy()
+            step = chain.joint_velocities(np.hstack([-errors[:, :3] @ R.T, -errors[:, 3:] @ R.T]))
             if not i:
                 step += chain.null_part(gain / steps * (middle - x) / np.maximum(half, 0.2))
             if not np.abs(step).max() < 0.3:

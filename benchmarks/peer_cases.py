@@ -89,7 +89,7 @@ def build(name: str, arms: int = 3, joints: int = 6) -> Case:
         start = lift.path.pose(0.0)
         chain.linearise(lift.q_start, about=start.translation)
         twist = np.kron(np.eye(2), start.rotation) @ lift.path.twist(0.0)
-        v = chain.joint_velocities(np.tile(twist, (len(lift.cell), 1)), np.empty(lift.cell.nv))
+        v = chain.joint_velocities(np.tile(twist, (len(lift.cell), 1)))
         j = int(np.abs(v).argmax())
         limits = {"lower": lift.cell.limits.lower.copy(), "upper": lift.cell.limits.upper.copy()}
         limits["lower" if v[j] > 0 else "upper"][j] = lift.q_start[j] + np.sign(v[j]) * _OUTSIDE

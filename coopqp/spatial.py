@@ -1,4 +1,4 @@
-"""Placements and twists: validation of arguments, and the batched SE(3) logarithm of the control step.
+"""Placements and twists: validation of arguments, and what Pinocchio does not have for them.
 
 Twists and spatial displacements are ``[linear; angular]``, as in Pinocchio. A placement ``T_a_b`` is the pose
 of frame b in frame a. Functions accept a :class:`pinocchio.SE3` or a 4x4 homogeneous matrix.
@@ -21,22 +21,6 @@ Placement: TypeAlias = "pin.SE3 | Array"
 
 #: Largest accepted entry of ``|R Rᵀ − I|`` of a rotation argument.
 ROTATION_TOLERANCE = 1e-6
-
-_SERIES_RADIUS = 0.02  # [rad]; up to this angle the series of log6_batch have an error ≤ 2e-14
-_EYE3 = np.eye(3)
-
-
-def _levi_civita() -> Array:
-    """Constant matrix (9, 3): maps the entries of a bᵀ (row by row) to a × b, and of a rotation to −2 sin θ · axis."""
-    M = np.zeros((3, 3, 3))
-    for i, j, k in ((0, 1, 2), (1, 2, 0), (2, 0, 1)):
-        M[i, j, k], M[j, i, k] = 1.0, -1.0
-    return M.reshape(9, 3)
-
-
-_CROSS = _levi_civita()
-#: Maps the entries of a rotation matrix to [axis · sin θ, −trace].
-_AXIS_TRACE = np.column_stack([-0.5 * _CROSS, -_EYE3.ravel()])
 
 
 def as_placement(value: Placement, where: str) -> pin.SE3:
@@ -72,7 +56,7 @@ def as_placement(value: Placement, where: str) -> pin.SE3:
         )
     R = matrix[:3, :3]
     with np.errstate(over="ignore", invalid="ignore"):
-        defect, det = float(np.abs(R @ R.T - _EYE3).max()), float(np.linalg.det(R))
+        defect, det = float(np.abs(R @ R.T - np.eye(3)).max()), float(np.linalg.det(R))
     if not defect <= ROTATION_TOLERANCE or det < 0.0:
         raise InvalidInputError(
             f"its 3x3 block is not a rotation (|R Rᵀ − I| = {defect:.3g}, det R = {det:.6g})",
@@ -133,11 +117,6 @@ def for_twists(R: Array) -> Array:
     return out
 
 
-def largest(x: Array) -> float:
-    """The largest entry, NaN if there is one; of small arrays several times faster than ``x.max()``."""
-    return float(x.item(x.argmax()))
-
-
 def skew(v: Array) -> Array:
     """``[v]×``, shape (3, 3)."""
     return np.array([[0.0, -v[2], v[1]], [v[2], 0.0, -v[0]], [-v[1], v[0], 0.0]])
@@ -155,43 +134,12 @@ def rotations(w: Array) -> Array:
     return out
 
 
-def log6_batch(R: Array, p: Array) -> Array:
-    """``log`` of placements, shape (n, 6), from rotations (n, 3, 3) and translations (n, 3)."""
-    return log6_rows(np.hstack([p, R.reshape(len(R), 9).dot(_AXIS_TRACE)]), R)
-
-
-def log6_rows(entries: Array, R: Array) -> Array:
-    """:func:`log6_batch` from rows that begin with p and axis · sin θ and end with −trace R, and from R (n, 3, 3).
-
-    A series up to angles of 0.02 rad (error ≤ 2e-14, tested), beyond them :func:`pinocchio.log6`. For a few placements
-    plain numbers take a fifth of the time of arrays.
-    """
-    rows = []
-    for i, (x, y, z, a, b, c, *_, trace) in enumerate(entries.tolist()):
-        s2 = a * a + b * b + c * c  # (a, b, c) is axis · sin θ
-        if not (s2 <= _SERIES_RADIUS**2 and trace < -1.0):
-            rows.append(pin.log6(pin.SE3(np.ascontiguousarray(R[i]), entries[i, :3])).vector)
-            continue
-        # ω by θ / sin θ, then V⁻¹ p = p − ½ ω×p + (1/12 + θ²/720 + …) ω×(ω×p)
-        ratio = 1.0 + s2 * (1 / 6 + s2 * (3 / 40 + s2 * (5 / 112)))
-        a, b, c, theta2 = ratio * a, ratio * b, ratio * c, ratio * ratio * s2
-        k = 1 / 12 + theta2 * (1 / 720 + theta2 / 30240)
-        u, v, w = b * z - c * y, c * x - a * z, a * y - b * x
-        du, dv, dw = b * w - c * v, c * u - a * w, a * v - b * u
-        rows.append((x - 0.5 * u + k * du, y - 0.5 * v + k * dv, z - 0.5 * w + k * dw, a, b, c))
-    return np.array(rows).reshape(-1, 6)
+def twist_at(twists: Array, way: Array) -> Array:
+    """Twists [linear; angular] (6, n) at a point that is ``way`` (3,) [m] further on the same body."""
+    return np.vstack([twists[:3] + skew(way).T @ twists[3:], twists[3:]])
 
 
 def cross(a: Array, b: Array) -> Array:
-    """Row-wise cross product of two (n, 3) arrays, several times faster than :func:`numpy.cross`."""
-    products = a[:, :, None] * b[:, None, :]
-    out: Array = products.reshape(len(a), 9).dot(_CROSS)
-    return out
-
-
-def cross_last(a: Array, b: Array) -> Array:
-    """Cross products along the last axis, of shapes that broadcast, several times faster than :func:`numpy.cross`."""
-    out: Array = np.empty(np.broadcast_shapes(a.shape, b.shape))
-    for i, j, k in ((0, 1, 2), (1, 2, 0), (2, 0, 1)):
-        np.subtract(a[..., j] * b[..., k], a[..., k] * b[..., j], out=out[..., i])
-    return out
+    """Cross products along the last axis, of shapes that broadcast; of few rows faster than :func:`numpy.cross`."""
+    ax, ay, az, bx, by, bz = (v[..., i] for v in (a, b) for i in range(3))
+    return np.stack([ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx], axis=-1)

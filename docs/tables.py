@@ -50,16 +50,13 @@ def period(records: Sequence[Record]) -> str:
         rows.append(
             {
                 "arms": arms,
-                "coopqp, half of the steps below [µs]": figure(own["p50_us"]),
-                "99 % below [µs]": figure(own["p99_us"]),
-                "PlaCo, hard and scaled [µs]": figure(own["placo_p50_us"]),
-                "coopqp / PlaCo": figure(own["ratio_placo"]),
+                "coopqp, median [µs]": figure(own["p50_us"]),
+                "99th percentile [µs]": figure(own["p99_us"]),
+                "PlaCo (hard, scaled), median [µs]": figure(own["placo_p50_us"]),
+                "coopqp ÷ PlaCo": figure(own["ratio_placo"]),
             }
         )
-    return (
-        "One period of a 1 kHz loop, closed on noisy readings and called from Python: from the reading to the next\n"
-        "command (CPU time, `make tables`):\n\n" + markdown(rows)
-    )
+    return "CPU time from a noisy reading to the next command in a 1 kHz loop in Python:\n\n" + markdown(rows)
 
 
 def steps(records: Sequence[Record]) -> str:

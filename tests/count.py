@@ -52,7 +52,6 @@ GLUE = (
     "coopqp/native/header.py",
     "coopqp/native/kinematics_binding.cpp",
     "coopqp/native/layout.py",
-    "coopqp/native/pointer.h",
     "coopqp/native/step_binding.cpp",
 )
 #: Other names of the core's constants in Python.

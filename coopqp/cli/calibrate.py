@@ -21,7 +21,7 @@ def add_calibrate(commands: Any) -> None:
     """Add the parser of ``coopqp calibrate``."""
     parser = commands.add_parser(
         "calibrate",
-        help="find where bases and grips really stand, from gripped runs",
+        help="calibrate bases and grips from gripped runs",
         description="Find the base placements and grips that close the chain at the measured configurations of runs in "
         "which all arms held one rigid object, and write the corrected cell file. No sensor is needed but the arms' "
         "encoders. The first arm is the reference.",
@@ -31,11 +31,11 @@ def add_calibrate(commands: Any) -> None:
     parser.add_argument("recordings", type=Path, nargs="+", metavar="RECORDING", help="recordings (.npz) of one cell")
     parser.add_argument("--out", type=Path, required=True, metavar="CELL", help="the corrected cell file (.toml)")
     parser.add_argument("--cell", type=Path, metavar="CELL", help="the cell file, for recordings that have none")
-    parser.add_argument("--gripped", action="store_true", help="the arms held one object, where recordings say nothing")
+    parser.add_argument("--gripped", action="store_true", help="the arms held one object (recordings may not say it)")
     parser.add_argument(
         "--encoder-noise", type=float, metavar="RAD", help="amplitude of the joints' measuring noise (1e-4 rad or m)"
     )
-    parser.add_argument("--picture", type=Path, metavar="FILE", help="also draw the closure before and after")
+    parser.add_argument("--picture", type=Path, metavar="FILE", help="also draw the loop residual before and after")
     parser.add_argument("--json", type=Path, metavar="FILE", help="also write the figures as JSON")
     parser.add_argument("--force", action="store_true", help="overwrite what is there")
     parser.add_argument("--quiet", action="store_true", help="print errors only")

@@ -29,17 +29,17 @@ _PICTURE = "check.png"
 def _add_check(commands: Any) -> None:
     parser = commands.add_parser(
         "check",
-        help="can the arms follow the path of a cell? A proof before the motion",
-        description="Judge whether the arms can follow the path inside their position limits, away from "
-        "singularities and, where the cell has bodies that keep distances, without coming too close; from the start of "
-        "the cell or from any start. Nothing moves.",
+        help="prove before the motion that the arms can follow the path",
+        description="Prove or disprove that the arms can follow the path inside their position limits, away from "
+        "singularities and, with a collision scene, with all margins kept; from the start of the cell or from any "
+        "start. Nothing moves.",
         epilog="Exit status: 0 if the arms follow the path (certified: proved at every point; or sampled: at samples, "
         "where there is no proof), 3 if an arm cannot or has no start, 4 if some interval is not decided, 2 for bad "
         "input.",
     )
     parser.add_argument("cell", metavar="CELL", help="a cell file (.toml, .yaml) or the name of a scenario")
-    parser.add_argument("--remedies", action="store_true", help="search what helps: branch, roll, path, base")
-    parser.add_argument("--any-start", action="store_true", help="judge every branch, not only the start of the cell")
+    parser.add_argument("--remedies", action="store_true", help="search remedies: branch, roll, path, base")
+    parser.add_argument("--any-start", action="store_true", help="check every branch, not only the start of the cell")
     parser.add_argument("--branches", action="store_true", help="also print the table of branches of each arm")
     parser.add_argument("--json", type=Path, metavar="FILE", help="also write the answer as JSON")
     parser.add_argument(

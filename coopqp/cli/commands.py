@@ -218,8 +218,8 @@ def _add_view(commands: Any) -> None:
         "view",
         help="show a cell or a run in the browser",
         description="Show a recording in 3D, in the browser, with play, pause and scrub. Of a cell file or a scenario "
-        "show the start, the path, how far the arms come and what `coopqp check` says, with a button that runs it. Or "
-        "write what is shown as one HTML file.",
+        "show the start, the path, the reach of the arms and the result of `coopqp check`, with a button that runs it. "
+        "Or write what is shown as one HTML file.",
     )
     parser.add_argument("what", metavar="WHAT", help=_RUN_HELP)
     parser.add_argument("--run", dest="run_it", action="store_true", help="run a cell at once, and show its run")
@@ -350,12 +350,12 @@ def _add_report(commands: Any) -> None:
     parser.add_argument("--force", action="store_true", help="overwrite an earlier report")
     _add_meshes(parser)
     for name, unit, text in (
-        ("chain-mm", "MM", "the arms against each other (0.1)"),
-        ("chain-deg", "DEG", "the arms against each other (0.1)"),
-        ("object-mm", "MM", "the object against its path (1)"),
-        ("object-deg", "DEG", "the object against its path (0.5)"),
+        ("chain-mm", "MM", "chain error (0.1)"),
+        ("chain-deg", "DEG", "chain error (0.1)"),
+        ("object-mm", "MM", "object off its path (1)"),
+        ("object-deg", "DEG", "object off its path (0.5)"),
     ):
-        parser.add_argument(f"--{name}", type=float, metavar=unit, help=f"largest error that is held: {text}")
+        parser.add_argument(f"--{name}", type=float, metavar=unit, help=f"tolerance: {text}")
     parser.epilog = "Without these options the tolerances of the run's cell file hold."
     parser.add_argument("--quiet", action="store_true", help="print errors only")
     parser.set_defaults(run=_run_report)

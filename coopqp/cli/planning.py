@@ -28,14 +28,13 @@ def add_plan(commands: Any) -> None:
     """Add the parser of ``coopqp plan``."""
     parser = commands.add_parser(
         "plan",
-        help="plan the fastest way along the path of a cell file",
-        description="Find a start and the fastest way along the path of a cell file under the joints' velocity and "
-        "acceleration limits, from rest to rest. Write it as a cell file that `coopqp run` takes as it is, and draw "
-        "the speed profile. Where the cell has bodies that keep distances, the plan is judged as by `coopqp check` "
-        "before it is written.",
+        help="time-optimal motion along the path of a cell file",
+        description="Find a start and the time-optimal motion along the path of a cell file under the joints' velocity "
+        "and acceleration limits, from rest to rest. Write it as a cell file that `coopqp run` takes as it is, and "
+        "draw the speed profile. With a collision scene the plan is checked as by `coopqp check` before it is written.",
         epilog="Exit status: 0 with a plan; 2 for bad input; 3 where an arm has no start or cannot follow the path, or "
-        "bodies come too close; 4 where that is not decided, or the computation fails in numbers. The time law of the "
-        "file's path counts for nothing.",
+        "bodies come too close; 4 where that is not decided, or the computation fails. The time law of the file's path "
+        "is ignored.",
     )
     parser.add_argument("cell", type=Path, metavar="CELL", help="the cell file, TOML or YAML")
     parser.add_argument("--out", type=Path, metavar="DIR", required=True, help="folder of plan.toml and speed.png")
@@ -50,7 +49,7 @@ def add_plan(commands: Any) -> None:
     )
     parser.add_argument("--jerk", type=float, metavar="DEG", help="largest jerk of the joints [°/s³]; takes seconds")
     parser.add_argument(
-        "--starts", type=int, default=1, metavar="N", help="compare N starts of each arm by time; the file gives none"
+        "--starts", type=int, default=1, metavar="N", help="compare N starts of each arm by time (file without start)"
     )
     parser.add_argument("--quiet", action="store_true", help="print errors only")
     parser.set_defaults(run=run_plan)

@@ -21,7 +21,7 @@ def add_sensors(commands: Any) -> None:
     """Add the parser of ``coopqp sensors``."""
     parser = commands.add_parser(
         "sensors",
-        help="find out what the wrist sensors read, by presses in the engine",
+        help="identify the wrist sensors by presses in the engine",
         description="Let the arms press each other a little while they hold the object at rest, in the engine, and "
         "find for each wrist sensor the arm, axes, sign, gain, bias and delay.",
         epilog="Exit status: 0 if all sensors are right; 4 if one is wrong or undecided; 2 for bad input; 130 after an "

@@ -124,9 +124,9 @@ def _add_place(commands: Any) -> None:
         commands,
         "place",
         _run_place,
-        help="find where the bases of a cell may stand",
-        description="Judge places of the bases: whether each arm follows the path, its σ_min, joint margins and "
-        "least time by speed limits alone, and the distances of bodies. One or two axes give a map, more are searched.",
+        help="map or search places of the bases of a cell",
+        description="Evaluate places of the bases: whether each arm follows the path, its σ_min, joint margins and "
+        "least time by speed limits alone, and the distances of bodies. One or two axes are mapped, more are searched.",
         epilog="Exit status: 0 with a best placement; 3 if there is none, or if the cell as built (now) is impossible; "
         "2 for a bad study.",
     )

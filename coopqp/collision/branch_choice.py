@@ -11,10 +11,8 @@ import numpy.typing as npt
 
 from coopqp.collision.built_scene import BuiltScene
 from coopqp.collision.distances import Distances
+from coopqp.native.constants import SMALL_CLEARANCE
 from coopqp.spatial import Array
-
-#: A pair this far inside its margin is outside it but for rounding [m].
-_ROUNDING = 1e-6
 
 Indices = npt.NDArray[np.intp]
 
@@ -85,6 +83,6 @@ class _Choice:
             self._distances.place(self._cell.configuration(row))
             for i in ask.tolist():
                 clearances[i] = self._distances.one(int(pairs[i])) - margins[i]
-                if clearances[i] < -_ROUNDING:
+                if clearances[i] < -SMALL_CLEARANCE:
                     return False
         return True

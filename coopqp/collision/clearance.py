@@ -27,22 +27,11 @@ from coopqp.errors import TooCloseError
 from coopqp.model.limits import BindingLimit, LimitKind
 from coopqp.model.shapes import NearPair
 from coopqp.model.state import CellState
+from coopqp.native.constants import BEND_SAMPLE, BENT_WAY, SMALL_CLEARANCE, STANDING, WATCHED, WATCHED_BLIND
 from coopqp.spatial import Array, Placement, as_placement
 
-#: A start this far inside a margin is outside it but for rounding [m].
-_ROUNDING = 1e-6
-#: Pairs are watched within this of their margin: in a step at most, and where nothing is known ahead [m].
-_WATCH, _BLIND_WATCH = 0.1, 0.3
-#: Between knots a pair is asked until its bodies move by less than this from one sample to the next [m].
-_SAMPLE = 5e-4
-#: In a compiled step pairs are followed one by one within this of their margin, others all together [m].
-_CLOSE = 0.25
 #: Clearance that the bend between two knots may take, where they are certified together [m].
 _BEND = 2e-3
-#: The joints' way between knots is no longer than this many times the straight one.
-_BENT = 1.02
-#: A distance that falls by less stands still [m].
-_STANDS = 1e-9
 #: Rows of one step at most; the nearest pairs.
 _MOST_PAIRS = MOST_ROWS // 2
 
@@ -167,12 +156,13 @@ class Clearance:
         clearances = self._step.clearances
         if self._in_memory is not None:
             clearances = np.minimum(clearances, self._in_memory.clearances)
-        near = np.flatnonzero((clearances < -_ROUNDING) & ~self._inside)
+        near = np.flatnonzero((clearances < -SMALL_CLEARANCE) & ~self._inside)
         if not near.size:
             return ()
         self._probe.place(q)
         found = [(self._probe.one(int(k)), int(k)) for k in near]
-        return tuple(replace(self.labels[k], distance=d) for d, k in sorted(found) if d < self._margins[k] - _ROUNDING)
+        least = self._margins - SMALL_CLEARANCE
+        return tuple(replace(self.labels[k], distance=d) for d, k in sorted(found) if d < least[k])
 
     def _overlaps(self) -> tuple[BindingLimit, ...]:
         """Pairs that overlap with a moving body where rows were asked, the deepest first."""
@@ -201,7 +191,7 @@ class Clearance:
             TooCloseError: one is, and the scene does not say that it may start there.
         """
         d = self._distances.all(q)
-        near = np.flatnonzero((d < self._margins - _ROUNDING) & ~self._inside)
+        near = np.flatnonzero((d < self._margins - SMALL_CLEARANCE) & ~self._inside)
         for bounds in self._bounds:
             bounds.start(d, self.scene.cell.positions(q))
         for native in self._native:
@@ -279,8 +269,8 @@ class Clearance:
     def _watched(self, xi: float, *, blind: bool) -> Array:
         """Pairs are asked within this of their margin (P,) [m]: nothing else can reach it at full speed."""
         if self._watch_of != (xi, blind):
-            watch = np.minimum(self._fastest / xi, _BLIND_WATCH if blind else _WATCH)
-            watch[self._moving.pairs] = _BLIND_WATCH
+            watch = np.minimum(self._fastest / xi, WATCHED_BLIND if blind else WATCHED)
+            watch[self._moving.pairs] = WATCHED_BLIND
             self._watch_of, self._watch = (xi, blind), watch
         return self._watch
 
@@ -304,7 +294,7 @@ class Clearance:
             return None
         clearances = self._step.clearances[rows.which]
         least = np.minimum(clearances, 0.0)
-        close = np.flatnonzero(clearances + dt * (rows.G @ v) < least + _SAMPLE)
+        close = np.flatnonzero(clearances + dt * (rows.G @ v) < least + BEND_SAMPLE)
         if not close.size:
             return None
         self._distances.place(q_next)
@@ -312,7 +302,7 @@ class Clearance:
             np.array([self._distances.one(int(rows.which[i])) for i in close]) - self._margins[rows.which[close]]
         )
         missing = least[close] - clearance
-        bent = (missing > 0.1 * _STANDS) & ~self._moving.moves[rows.which[close]]
+        bent = (missing > 0.1 * STANDING) & ~self._moving.moves[rows.which[close]]
         if not bent.any():
             return None
         lower: Array = rows.lower.copy()
@@ -331,18 +321,20 @@ class Clearance:
         """
         if self._moving or not hasattr(KERNEL, "Nearby"):
             return None
-        step = ("positions", "command", "dt", "G", "lower", "upper", "soft", "owner")
-        quiet = ("centre", "reach", "slack", "approach")
-        knots = ("knots", "knot_positions", "knot_slope", "knot_curvature")
-        names = (*step, *(f"{'quiet_ahead' if ahead else 'quiet'}_{name}" for name in quiet), *knots)
-        spare, evades = (max(_BEND, self._evading.begins), self._evading.begins) if ahead else (0.0, -1.0)
-        numbers = (
-            self.approach, _WATCH, _BLIND_WATCH, _SAMPLE, _STANDS, float(self._most_pairs), *memory["knot_numbers"],
-            _BENT, spare, evades, _CLOSE,
+        names = (
+            "positions", "command", "dt", "G", "lower", "upper", "soft", "owner", "knots", "knot_positions",
+            "knot_slope", "knot_curvature", "knot_numbers", "evading_positions", "evading_slope",
         )  # fmt: skip
-        arrays = np.zeros(2) if ahead else self._counts, self._most, self._fastest, *(memory[name] for name in names)
+        quiet = "quiet_ahead" if ahead else "quiet"
+        arrays = {name: memory[name] for name in names} | {
+            "centre": memory[f"{quiet}_centre"], "quiet_reach": memory[f"{quiet}_reach"],
+            "slack": memory[f"{quiet}_slack"], "approach": memory[f"{quiet}_approach"],
+            "counts": np.zeros(2) if ahead else self._counts, "speeds": self._most, "fastest": self._fastest,
+        }  # fmt: skip
+        spare, evades = (max(_BEND, self._evading.begins), self._evading.begins) if ahead else (0.0, -1.0)
+        settings = self.approach, spare, evades, float(self._most_pairs)
         bounds = LowerBounds(self.scene.built, self._distances)
-        found: RowsInMemory | None = Distances(self.scene.built).nearby(bounds, arrays, numbers)
+        found: RowsInMemory | None = Distances(self.scene.built).nearby(bounds, arrays, settings)
         if found is not None:
             self._bounds.append(bounds)
             self._native.append(found)
@@ -359,12 +351,12 @@ class Clearance:
         if among is not None:
             self._distances.place(knot.state.q)
             self._ahead.ask(among)
-            motion = _BENT * np.abs(self._back(knot, knot.span))
+            motion = BENT_WAY * np.abs(self._back(knot, knot.span))
             ways = [float(self._reach[k] @ motion) for k in among]
             return next((k for k, way in zip(among, ways, strict=True) if self._crosses(k, knot, way)), -1)
         bounds, positions = self._ahead, self.scene.cell.positions
         bounds.follow(positions(knot.state.q))
-        way = _BENT * (self._reach @ np.abs(self._back(knot, knot.span)))
+        way = BENT_WAY * (self._reach @ np.abs(self._back(knot, knot.span)))
         bounds.clearances[self._moving.pairs] = np.inf  # where they will be nobody knows
         close = np.maximum(way, self._evading.begins)
         if not (bounds.clearances < close).any():
@@ -386,14 +378,14 @@ class Clearance:
         after, before = float(self._ahead.clearances[k]), self._clearance_at(k, knot, knot.span)
         if knot.span == 0.0:  # the first knot
             G = self._distances.gradient([k]).rows[0]
-            return after < -_ROUNDING and float(G @ knot.slope) < -_STANDS
-        least = min(before, 0.0) - _STANDS
+            return after < -SMALL_CLEARANCE and float(G @ knot.slope) < -STANDING
+        least = min(before, 0.0) - STANDING
         if after < least:
             return True
         pieces = [(0.0, after, knot.span, before, way)]
         while pieces:
             late, d_late, early, d_early, length = pieces.pop()
-            if 0.5 * (d_late + d_early - length) >= least or length < _SAMPLE:
+            if 0.5 * (d_late + d_early - length) >= least or length < BEND_SAMPLE:
                 continue
             middle = 0.5 * (late + early)
             d = self._clearance_at(k, knot, middle)

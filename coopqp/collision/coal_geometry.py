@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import coal
 import numpy as np
@@ -139,3 +139,43 @@ def _vectors(points: Sequence[Any] | Any) -> Any:
     for point in points:
         made.append(np.asarray(point, dtype=float))
     return made
+
+
+#: Codes of the core's shapes: a box about a radius, which may have no width; a cylinder; a hull.
+_BOX, _CYLINDER, _HULL = 0, 1, 2
+
+
+class CoreShape(NamedTuple):
+    """A convex geometry as ``convex.h`` takes it; it lies inside, and fills it for all kinds but cones and ellipsoids.
+
+    Attributes:
+        kind: code of its core.
+        half: half sizes of the core (3,) [m]; of a cylinder radius, 0, half of its length.
+        radius: by which the core grows [m].
+        centre: of the core in the geometry's frame (3,) [m].
+        corners: of a hull (C, 3) [m].
+    """
+
+    kind: int
+    half: Any
+    radius: float
+    centre: Any
+    corners: Any
+
+
+def core_shape(geometry: Any) -> CoreShape:
+    """A convex geometry for the core."""
+    kind, middle, none = type(geometry).__name__, np.zeros(3), np.zeros((0, 3))
+    if kind == "Box":
+        return CoreShape(_BOX, np.array(geometry.halfSide), 0.0, middle, none)
+    if kind == "Sphere":
+        return CoreShape(_BOX, np.zeros(3), geometry.radius, middle, none)
+    if kind == "Capsule":
+        return CoreShape(_BOX, np.array([0.0, 0.0, geometry.halfLength]), geometry.radius, middle, none)
+    if kind == "Cylinder":
+        return CoreShape(_CYLINDER, np.array([geometry.radius, 0.0, geometry.halfLength]), 0.0, middle, none)
+    if kind == "Convex":
+        return CoreShape(_HULL, np.zeros(3), 0.0, middle, np.array(geometry.points(), dtype=float))
+    geometry.computeLocalAABB()
+    box = geometry.aabb_local
+    return CoreShape(_BOX, 0.5 * (np.array(box.max_) - box.min_), 0.0, 0.5 * (np.array(box.max_) + box.min_), none)

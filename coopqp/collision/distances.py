@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
+from functools import partial
 from typing import Any, NamedTuple, final
 
 import coal
@@ -12,7 +13,9 @@ import pinocchio as pin
 
 from coopqp.collision import bounds_plain
 from coopqp.collision.built_scene import BuiltScene
+from coopqp.collision.coal_geometry import core_shape
 from coopqp.native import compiled, warn_once
+from coopqp.native.constants import DEEPEST, FARTHEST_POINT, LEAST_CLEARANCE
 from coopqp.spatial import Array
 
 #: The module for bounds and rows: compiled or plain.
@@ -21,15 +24,11 @@ KERNEL: Any = compiled() or bounds_plain
 #: coal's own tolerance leaves gradients wrong by 0.2; with this one by 2e-4.
 _TOLERANCE = 1e-9
 _MOST_ITERATIONS = 1000
-#: Where bodies overlap coal's search of the depth may fail, and answers the smallest number that there is [m].
-_DEEPEST = -1.0
-#: Nearest points beyond this are none: that search has failed [m].
-_FARTHEST = 1e9
 
-#: Pairs that are asked at most to sharpen bounds, and a clearance that counts as none [m].
-_MOST_ASKED, _LEAST_CLEARANCE = 20, 1e-9
-#: The same in a compiled step.
-_MOST_ASKED_IN_STEP = 6
+#: Pairs that are asked at most to sharpen bounds.
+_MOST_ASKED = 20
+#: Placements that differ by less are the same [m].
+_SAME_PLACE = 1e-9
 
 
 def new_request() -> coal.DistanceRequest:
@@ -99,14 +98,14 @@ class Distances:
         found = self._known.get(pair)
         if found is None:
             pin.computeDistance(self._geometry, self._placed, pair)
-            found = self._known[pair] = max(self._results[pair].min_distance, _DEEPEST)
+            found = self._known[pair] = max(self._results[pair].min_distance, DEEPEST)
         return found
 
     def all(self, q: Array) -> Array:
         """Distances of all pairs (P,) at a configuration [m]."""
         self.place(q)
         pin.computeDistances(self._geometry, self._placed)
-        d: Array = np.maximum([result.min_distance for result in self._results], _DEEPEST)
+        d: Array = np.maximum([result.min_distance for result in self._results], DEEPEST)
         self._known = dict(enumerate(d.tolist()))
         return d
 
@@ -115,40 +114,63 @@ class Distances:
         result = self._results[pair]
         return np.array(result.getNearestPoint1()), np.array(result.getNearestPoint2())
 
-    def nearby(self, bounds: LowerBounds, arrays: tuple[Array, ...], numbers: tuple[float, ...]) -> Any:
-        """The native object that holds these distances in a compiled step, alone. None if coal copies normals.
+    def nearby(self, bounds: LowerBounds, arrays: Mapping[str, Array], settings: tuple[float, ...]) -> Any:
+        """The native object that holds these distances in a compiled step, alone.
 
         Args:
             bounds: the bounds that it keeps up to date.
-            arrays, numbers: as ``nearby.cpp`` lists them, without those that are known here.
+            arrays, settings: as ``nearby.h`` lists them, without those that are known here.
+
+        Returns:
+            None if coal copies normals, or the core cannot place the shapes.
         """
         cell, results = self._cell, self._results
         normals = [result.normal for result in results]
         if any(normal.flags.owndata for normal in [*normals, self._data.J]):
             return None  # the core would read copies, and nobody writes them again
         model, geometry, placed = cell.model, self._geometry, self._placed
-        q = pin.neutral(model)
-        placing = (
-            (pin.computeJointJacobians, (model, self._data, q)),
-            (pin.updateGeometryPlacements, (model, self._data, geometry, placed)),
-        )
-        counts, speeds, fastest, *step = arrays
-        arms = np.array([cell.arm_of_joint(j) for j in range(cell.nv)], dtype=float)
-        own = (
-            *bounds.arrays(), fastest, self._kinds, cell.continuous.astype(float), arms, speeds,
-            cell.position_index.astype(float), q, self._data.J.T, counts,
-        )  # fmt: skip
-        return KERNEL.Nearby(
-            (*own, *step),
-            (*numbers, _LEAST_CLEARANCE, _DEEPEST, float(_MOST_ASKED_IN_STEP)),
-            (self._data, placed),
-            placing,
-            pin.computeDistance,
-            [(geometry, placed, k) for k in range(len(results))],
-            results,
-            [result.getNearestPoint2 for result in results],
-            normals,
-        )
+        q, continuous = pin.neutral(model), cell.continuous.astype(float)
+        coal_asked = {
+            "owner": (self._data, placed),
+            "placing": [
+                partial(pin.computeJointJacobians, model, self._data, q),
+                partial(pin.updateGeometryPlacements, model, self._data, geometry, placed),
+            ],
+            "ask": pin.computeDistance,
+            "questions": [(geometry, placed, k) for k in range(len(results))],
+            "answers": results,
+            "points": [result.getNearestPoint2 for result in results],
+            "normals": normals,
+            "q": q,
+            "q_index": cell.position_index.astype(float),
+            "continuous": continuous,
+        }
+        own = {
+            **bounds.arrays(),
+            "kinds": self._kinds,
+            "continuous": continuous,
+            "arm": np.array([cell.arm_of_joint(j) for j in range(cell.nv)], dtype=float),
+            "jacobian": self._data.J.T,
+        }
+        shapes = _core_shapes(model, geometry)
+        if shapes is None:
+            return None
+        found = KERNEL.Nearby({**own, **arrays}, settings, coal_asked, shapes)
+        return found if self._are_placed_by(found) else None
+
+    def _are_placed_by(self, nearby: Any) -> bool:
+        """Whether the core places all shapes as Pinocchio does, at seeded random configurations."""
+        rng, found = np.random.default_rng(0), np.empty(12)
+        for _ in range(2):
+            x = rng.uniform(-2.0, 2.0, self._cell.nv)
+            self.place(self._cell.configuration(x))
+            for i, T in enumerate(self._placed.oMg):
+                nearby.placement(x, i, found)
+                centre = core_shape(self._geometry.geometryObjects[i].geometry).centre
+                away = np.abs(found - np.concatenate([T.rotation.ravel(), T.act(centre)])).max()
+                if not away < _SAME_PLACE * (1.0 + np.abs(T.translation).max()):
+                    return False
+        return True
 
     def gradient(self, pairs: Iterable[int]) -> Gradient:
         """Gradient of the distances of pairs that were asked where the shapes are placed.
@@ -171,7 +193,7 @@ class Distances:
             result = self._results[k]
             ends.append(result.normal.tolist() + result.getNearestPoint2().tolist())
         both, lower = np.array(ends).reshape(-1, 6), np.empty(len(ends))
-        both[~(np.abs(both) < _FARTHEST).all(axis=1)] = 0.0  # of an overlap whose depth coal did not find
+        both[~(np.abs(both) < FARTHEST_POINT).all(axis=1)] = 0.0  # of an overlap whose depth coal did not find
         G = np.empty((len(ends), self._cell.nv))
         KERNEL.rows(both, self._data.J.T, self._kinds, clearances, pairs, approach, G, lower)
         return Gradient(G, both[:, :3], both[:, 3:]), lower
@@ -203,17 +225,18 @@ class LowerBounds:
         self._shares, self._weights = np.empty(len(built.margins)), np.zeros(built.cell.nv)
         self.clearances = np.full(len(built.margins), -np.inf)  # at least this far from the margin (P,) [m]
         self.positions = np.zeros(built.cell.nv)
-        self._epoch = np.zeros(1)
 
-    def arrays(self) -> tuple[Array, ...]:
-        """Clearances, reaches, positions, number of starts, margins, and what a unit of motion takes at most."""
-        return self.clearances, self._reach, self.positions, self._epoch, self._margins, self._most
+    def arrays(self) -> dict[str, Array]:
+        """Its memory for the core; ``most`` is what a unit of motion takes of each clearance at most."""
+        return {
+            "clearances": self.clearances, "at": self.positions, "reach": self._reach, "margins": self._margins,
+            "most": self._most,
+        }  # fmt: skip
 
     def start(self, distances: Array, positions: Array) -> None:
         """Begin where all distances (P,) are known."""
         self.clearances[:] = distances - self._margins
         self.positions[:] = positions
-        self._epoch += 1.0
 
     def follow(self, positions: Array) -> None:
         """The joints are at positions (nv,) now."""
@@ -234,7 +257,7 @@ class LowerBounds:
         """Ask for pairs until the distance of the pair that may use up its clearance first is known."""
         known = set(asked)
         while len(known) < _MOST_ASKED:
-            k = self._kernel.soonest(self.clearances, self._most, _LEAST_CLEARANCE)
+            k = self._kernel.soonest(self.clearances, self._most, LEAST_CLEARANCE)
             if k in known:
                 return
             self.ask([k])
@@ -252,3 +275,26 @@ class LowerBounds:
         weights = self._weights
         known = self._kernel.certify(self.clearances, self._reach, spare, self._shares, weights)
         return weights.copy(), 1.0 if known else -1.0
+
+
+def _core_shapes(model: pin.Model, geometry: pin.GeometryModel) -> dict[str, Any] | None:
+    """Joints, shapes and pairs as ``nearby.h`` takes them; None for joints that it does not know."""
+    joints = list(model.joints)[1:]
+    if any(joint.nv != 1 or joint.idx_v != i for i, joint in enumerate(joints)):
+        return None
+    data = model.createData()
+    pin.computeJointJacobians(model, data, pin.neutral(model))
+    pin.updateGeometryPlacements(model, data, geometry, placed := geometry.createData())
+    shapes, corners = [], []
+    for part, T in zip(geometry.geometryObjects, placed.oMg, strict=True):
+        own = core_shape(part.geometry)
+        place = np.concatenate([T.rotation.ravel(), T.act(own.centre)])
+        shapes.append(np.array([own.kind, part.parentJoint - 1, *own.half, own.radius, *place], dtype=float))
+        corners.append(np.ascontiguousarray(own.corners).ravel())
+    return {
+        "axes": np.ascontiguousarray(data.J.T),
+        "carriers": np.array([model.parents[i + 1] - 1 for i in range(len(joints))], dtype=float),
+        "shapes": np.array(shapes),
+        "corners": corners,
+        "pairs": np.array([(pair.first, pair.second) for pair in geometry.collisionPairs], dtype=float).reshape(-1),
+    }

@@ -11,26 +11,16 @@ import pinocchio as pin
 from coopqp.collision.built_scene import BuiltScene
 from coopqp.collision.distances import Distances, LowerBounds
 from coopqp.model.cell import RobotCell
+from coopqp.native.constants import EVADES_EARLY, GENTLE, HELPS, SMALL_CLEARANCE, YIELDS
 from coopqp.planning.joint_trajectories import CellWay
 from coopqp.spatial import Array
 
-#: A row that is broken by 1/YIELDS costs as much as a self-motion of 1. With 1000 arms swung past posts at many times
-#: their speeds, along slopes that the look-ahead cannot follow.
-YIELDS = 50.0
 #: Where nothing else is said: the approach to a margin [1/s], and how far redundant arms keep from it [m].
 APPROACH, COMFORT = 5.0, 0.03
-#: Pairs are looked at this far beyond the comfort, so that evasion begins gently [m].
-EVADES_EARLY = 0.05
-#: Missing speed of a distance, per second of the path's clock, up to which evasion grows with its square [m/s].
-_GENTLE = 0.1
-#: Clearances this small are rounding [m].
-_ROUNDING = 1e-6
 #: Pieces of a trajectory along which redundant arms evade, at least.
 _PIECES = 150
 #: Accepted violation of a row; DAQP's default is 1e-6.
 _TOLERANCE = 1e-10
-#: A self-motion that changes no distance by more than this does not help [m per unit of joint speed].
-_HELPS = 1e-6
 
 
 @final
@@ -78,7 +68,7 @@ class Evasion:
             return slope
         N = self.basis(q)
         A = G @ N
-        helps = np.abs(A).max(axis=1) > _HELPS
+        helps = np.abs(A).max(axis=1) > HELPS
         if not helps.any():
             return slope
         # A least-distance problem; each row has an unknown to give way by, so it has a solution.
@@ -132,9 +122,9 @@ class EvadingSlopes:
             return slope
         G = bounds.distances.gradient(near).rows
         spare = bounds.clearances[near] - self._comfort
-        lower = -self._approach * spare / np.maximum(1.0 - np.maximum(spare, 0.0) / EVADES_EARLY, _ROUNDING)
-        first = np.clip(lower - G @ slope, 0.0, _GENTLE)
-        return self._evasion.slope(q, slope, G, lower - first + first**2 / (2.0 * _GENTLE))
+        lower = -self._approach * spare / np.maximum(1.0 - np.maximum(spare, 0.0) / EVADES_EARLY, SMALL_CLEARANCE)
+        first = np.clip(lower - G @ slope, 0.0, GENTLE)
+        return self._evasion.slope(q, slope, G, lower - first + first**2 / (2.0 * GENTLE))
 
 
 def evading_trajectory(built: BuiltScene, way: CellWay) -> tuple[Array, Array] | None:

@@ -17,13 +17,12 @@ import numpy.typing as npt
 from coopqp.collision.built_scene import BuiltScene
 from coopqp.collision.distances import Distances
 from coopqp.model.shapes import NearPair
+from coopqp.native.constants import SMALL_CLEARANCE
 from coopqp.planning.branch_checks import PathVerdict
 from coopqp.planning.clearance_check import ClearanceCheck
 from coopqp.planning.joint_trajectories import CellWay
 from coopqp.spatial import Array
 
-#: A pair this far inside its margin is outside it but for rounding [m].
-_ROUNDING = 1e-6
 #: The least distance is proved to within this [m], or this share of its clearance.
 _RESOLUTION, _SHARE = 2e-4, 0.05
 #: Where a pair first comes inside its margin is found to within this motion of its bodies [m].
@@ -99,7 +98,7 @@ class _PathCheck:
         d = np.array([self._distances.all(self._cell.configuration(row)) for row in x])
         self._required = np.where(self._built.inside, np.minimum(self._built.margins, d[0]), self._built.margins)
         clearances = d - self._required
-        inside = (clearances[:, self._pairs] < -_ROUNDING).any(axis=0)
+        inside = (clearances[:, self._pairs] < -SMALL_CLEARANCE).any(axis=0)
         judged = self._pairs
         # Pairs that depend on the object's pose alone come first: no motion of an elbow and no other start helps there.
         object_alone = np.isfinite(self._built.levers)
@@ -120,13 +119,13 @@ class _PathCheck:
     def _target(self) -> float:
         """The clearance that is to be proved [m]."""
         least = self._least[0]
-        return max(least - max(_RESOLUTION, _SHARE * least), -_ROUNDING)
+        return max(least - max(_RESOLUTION, _SHARE * least), -SMALL_CLEARANCE)
 
     def _seen(self, place: float, pairs: Indices, clearances: Array) -> None:
         k = int(clearances.argmin())
         if clearances[k] < self._least[0]:
             self._least = float(clearances[k]), place, int(pairs[k])
-        if clearances[k] < -_ROUNDING and (self._first is None or place < self._first[0]):
+        if clearances[k] < -SMALL_CLEARANCE and (self._first is None or place < self._first[0]):
             self._first = place, int(pairs[k]), float(clearances[k])
 
     def _interval(

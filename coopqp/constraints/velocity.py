@@ -109,6 +109,10 @@ class RowsInMemory(Protocol):
         """Look at everything once, where the joints start."""
         ...
 
+    def evade(self) -> bool:
+        """Add self-motion to the slope in the memory, at the positions there; whether it succeeded."""
+        ...
+
     def surveys(self) -> bool:
         """Do a piece of work that need not be done in one step; whether there was any."""
         ...

@@ -388,7 +388,7 @@ class QPController:
         """The core's function that steps with wrenches, for :class:`coopqp.ForceController`; None if Python has to.
 
         Args:
-            memory: numbers of :data:`coopqp.native.layout.MINDING`.
+            memory: numbers of :data:`coopqp.native.layout.Minding`.
             tell: puts words into a step that forces have something to say about.
 
         Returns:

@@ -29,7 +29,7 @@ import numpy as np
 import pinocchio as pin
 
 from coopqp.control.core import minding_of
-from coopqp.control.core.relax_plain import AT, gives_way, minding_size, minding_views
+from coopqp.control.core.relax_plain import gives_way, minding_scalars, minding_size, minding_views
 from coopqp.control.monitoring.stress import servo_wrenches
 from coopqp.errors import InvalidInputError
 from coopqp.forces.force_options import ForceOptions
@@ -42,7 +42,7 @@ from coopqp.model.cell import RobotCell
 from coopqp.model.chain import Chain
 from coopqp.model.grasp import Grasp
 from coopqp.native.constants import LOOK_EVERY
-from coopqp.spatial import Array, skew
+from coopqp.spatial import Array, for_twists, skew
 
 #: Smaller shares of a stiffness count as 0.
 _LEAST_PART = 1e-9
@@ -73,10 +73,10 @@ _ALONG = 0.95
 _STEADY, _PRESSED = 0.5, 0.1
 #: The settings that a step needs, by their place in its memory.
 _SETTINGS = {
-    "WRENCH_FILTER": "filter_time", "DEAD_BAND": "dead_band", "RELAX_TIME": "relax_time", "DRIFT_TIME": "drift_time",
-    "RAMP_TIME": "ramp_time", "WRENCH_SILENCE": "silent_time",
-    "MOST_SPEED": "speed", "MOST_SPIN": "spin", "MOST_REACH": "reach", "MOST_TURN": "turn",
-    "FORCE_SLOWS": "slow_from", "FORCE_HOLDS": "hold_from", "SQUEEZE": "squeeze", "MOST_SQUEEZE": "most_squeeze",
+    "wrench_filter": "filter_time", "dead_band": "dead_band", "relax_time": "relax_time", "drift_time": "drift_time",
+    "ramp_time": "ramp_time", "wrench_silence": "silent_time",
+    "most_speed": "speed", "most_spin": "spin", "most_reach": "reach", "most_turn": "turn",
+    "force_slows": "slow_from", "force_holds": "hold_from", "squeeze": "squeeze", "most_squeeze": "most_squeeze",
 }  # fmt: skip
 
 
@@ -92,7 +92,8 @@ class Relaxation:
         kernel: the code of a step, ``"compiled"`` or ``"plain"``.
 
     Attributes:
-        memory: numbers of :data:`coopqp.native.layout.MINDING`, and the vectors below.
+        memory: numbers of :data:`coopqp.native.layout.Minding`, and the vectors below.
+        scalars: the first of them by name.
         internal: internal wrenches of the arms on the object beside the squeeze that is asked for, filtered (N, 6)
             [N, N·m], in the object frame; the next step changes it in place.
         seen: the last wrenches at the tools (N, 6) [N, N·m]; the next step changes it in place.
@@ -122,6 +123,7 @@ class Relaxation:
         self._to_object, self._load_shares = load_shares(grasp)
         total = np.tile(np.eye(6), n)
         (self._relax, self._allow), self.memory = minding_of(kernel), np.zeros(minding_size(n))
+        self.scalars = minding_scalars(self.memory)
         self._put_settings()
         views = minding_views(self.memory, n)
         self.internal, self.shift, self.silent = views["internal"], views["shift"], views["silent"]
@@ -155,42 +157,43 @@ class Relaxation:
         self.begin(np.zeros((n, 6)))
 
     def _put_settings(self) -> None:
-        o, m = self.options, self.memory
+        o, m = self.options, self.scalars
         for place, name in _SETTINGS.items():
-            m[AT[place]] = getattr(o, name)
+            setattr(m, place, getattr(o, name))
         palms = o.palms is not None
-        m[AT["HAS_PALMS"]] = palms
-        m[AT["WAIT"]] = _STEADY if palms else 2.0 * o.relax_time
-        m[AT["PRESSED_BELOW"]] = _PRESSED * o.squeeze if palms else math.inf
-        m[AT["MOVE_BELOW"]] = max(o.move_below, 2.0 * o.dead_band, _PRESSED * o.squeeze)
+        m.has_palms = palms
+        m.wait = _STEADY if palms else 2.0 * o.relax_time
+        m.pressed_below = _PRESSED * o.squeeze if palms else math.inf
+        m.move_below = max(o.move_below, 2.0 * o.dead_band, _PRESSED * o.squeeze)
 
     def _put_load(self, unfed_of: Array, carries: Array, total: Array) -> None:
         """What the drives are fed forward of the wrenches: the payload's weight, or the sum of all wrenches."""
-        payload, m = self.options.payload, self.memory
-        m[AT["RIGID"]] = self.options.palms is None
-        m[AT["CONTACT_LIMIT"]] = math.inf
+        payload, m = self.options.payload, self.scalars
+        m.rigid = self.options.palms is None
+        m.contact_limit = math.inf
         if payload is None:
             unfed_of[:] = (np.eye(len(total.T)) - self._load_shares @ total) @ self._to_object
             return
         unfed_of[:] = self._to_object
-        minding_views(m, len(self._cell))["centre"][:] = payload.centre
+        minding_views(self.memory, len(self._cell))["centre"][:] = payload.centre
         carries[:] = self._load_shares @ np.vstack([np.eye(3), skew(payload.centre)])
-        weight = m[AT["WEIGHT_X"] : AT["WEIGHT_Z"] + 1] = -payload.mass * self._cell.model.gravity.linear
-        m[AT["LOAD_MASS"]], m[AT["CONTACT_LATE"]] = payload.mass, self.options.delay + self._dt
+        weight = -payload.mass * self._cell.model.gravity.linear
+        m.weight_x, m.weight_y, m.weight_z = weight
+        m.load_mass, m.contact_late = payload.mass, self.options.delay + self._dt
         limit = self.options.contact_limit
         least = max(_LEAST_CONTACT, _CONTACT * float(np.linalg.norm(weight)))
         if self.options.palms is not None:  # a stand hides what the object weighs until it moves
             least = math.inf
-        m[AT["CONTACT_LIMIT"]] = least if limit is None else limit
+        m.contact_limit = least if limit is None else limit
 
     def begin(self, shift: Array) -> None:
         """Forget everything; the grasps are shifted by ``shift`` (N, 6)."""
-        n, m = len(self._cell), self.memory
-        asked = m[AT["ASKED"]]
-        m[:] = self._starting
-        m[AT["ASKED"]], m[AT["STIFFER"]], self.shift[:], self._held[:] = asked, 1.0, shift, shift
-        m[AT["FORCE_CAP"]], m[AT["PRESSED_WITH"]] = 1.0, self.options.squeeze
-        m[AT["CORRECTS"]] = self.options.palms is not None
+        n, m = len(self._cell), self.scalars
+        asked = m.asked
+        self.memory[:] = self._starting
+        m.asked, m.stiffer, self.shift[:], self._held[:] = asked, 1.0, shift, shift
+        m.force_cap, m.pressed_with = 1.0, self.options.squeeze
+        m.corrects = self.options.palms is not None
         #: One over Kp, with the arms' stiffness against each other as it is found.
         self._soft = self._softness
         self._pressed = self._pressing = self._waited = 0.0
@@ -209,12 +212,14 @@ class Relaxation:
     @property
     def size(self) -> float:
         """Size of the largest internal wrench [N]; a torque of 0.3 N·m counts as 1 N."""
-        return self.memory.item(AT["SIZE"])
+        size: float = self.scalars.size
+        return size
 
     @property
     def stiffer(self) -> float:
         """ρ."""
-        return self.memory.item(AT["STIFFER"])
+        stiffer: float = self.scalars.stiffer
+        return stiffer
 
     # -- a step --------------------------------------------------------------------------------------------------
 
@@ -232,8 +237,8 @@ class Relaxation:
 
     def refer(self, pose: pin.SE3, dt: float) -> None:
         """The object was asked for at ``pose``, in a step of ``dt`` [s]."""
-        m = self.memory
-        m[AT["REFERENCE_DT"]], m[AT["ASKED_DT"]] = m[AT["ASKED_DT"]], dt
+        m = self.scalars
+        m.reference_dt, m.asked_dt = m.asked_dt, dt
         self._reference[:9], self._reference[9:] = pose.rotation.ravel(), pose.translation
 
     def contact(self) -> str:
@@ -246,23 +251,24 @@ class Relaxation:
             towards = f"{'+-'[int(way[k] < 0.0)]}{'xyz'[k]}"
         else:
             towards = "({:.1f}, {:.1f}, {:.1f})".format(*(np.round(way, 1) + 0.0))  # no -0.0
-        limit = self.memory[AT["CONTACT_LIMIT"]]
+        limit = self.scalars.contact_limit
         return f"{size:.0f} N have pushed it towards {towards} of the world (from {limit:.0f} N on)"
 
     def allow(self, dt: float) -> float:
         """The largest rate of the object in this step: ``allow.cpp``, which ``allow_plain.py`` says in NumPy."""
         self._allow(self.memory, len(self._cell), dt)
-        return self.memory.item(AT["ALLOWED"])
+        allowed: float = self.scalars.allowed
+        return allowed
 
     @property
     def gives(self) -> bool:
         """The grasps give way in the next step, unless a sensor is silent for too long."""
-        return gives_way(self.memory)
+        return gives_way(self.scalars)
 
     @property
     def aged(self) -> bool:
         """The compliances have to be looked at again."""
-        return self.memory.item(AT["AGE"]) >= LOOK_EVERY
+        return bool(self.scalars.age >= LOOK_EVERY)
 
     # -- the wrenches --------------------------------------------------------------------------------------------
 
@@ -307,16 +313,15 @@ class Relaxation:
         """Look at the compliances at ``q``. Returns blockdiag(R, R) of the object (6, 6)."""
         chain = self._chain
         O = chain.carried(q)[0]
-        chain.evaluate(q, about=O[3].copy())
-        R = np.zeros((6, 6))
-        R[:3, :3] = R[3:, 3:] = O[:3].T
+        chain.evaluate(q, about=O.translation)
+        R = for_twists(O.rotation)
         self._compliances[:] = R.T @ chain.compliances(self._soft) @ R
         if self._felt_part is not None:
             self._yields[:] = self._relative @ yields_in_part(self._compliances, self._felt_part)
         else:  # relative @ blockdiag(C)
             for k, own in enumerate(self._compliances):
                 self._yields[:, 6 * k : 6 * k + 6] = self._relative[:, 6 * k : 6 * k + 6] @ own
-        self.memory[AT["AGE"]] = 0.0
+        self.scalars.age = 0.0
         return R
 
     # -- motion of the grasps ------------------------------------------------------------------------------------
@@ -347,12 +352,12 @@ class Relaxation:
         way = self._pressed * self._inward.ravel()
         answer = felt - self._felt - self._pressing * self._grows
         if way.any():  # some arm minds forces towards the others
-            self.memory[AT["STIFFER"]] = self.accepted(answer @ way / (way @ way))
+            self.scalars.stiffer = self.accepted(answer @ way / (way @ way))
         return True
 
     def take_stiffness(self, stiffer: float, arms: Array, q: Array) -> None:
         """Take ρ, and by how much each arm is stiffer than that (N,), at the configuration ``q``."""
-        self.memory[AT["STIFFER"]] = self.accepted(stiffer)
+        self.scalars.stiffer = self.accepted(stiffer)
         self._soft = self._softness / np.repeat(arms, [arm.model.nv for arm in self._cell.arms])
         self.look(q)
 
@@ -371,13 +376,13 @@ class Relaxation:
             silence *= _SILENT_AT_REST
         elif lost > 0.0:
             silence = max(silence, dt * math.log(_NO_CHANCE) / math.log(min(lost, _MOST_LOST)))
-        self.memory[AT["WRENCH_SILENCE"]] = silence
+        self.scalars.wrench_silence = silence
 
     def slow_down(self, delay: float, dt: float) -> bool:
         """Relax no faster than wrenches that come after ``delay`` [s] allow; false if that is too late for any pace."""
-        m, slower = self.memory, max((delay + dt) / (_SLOWED_GAIN * self.options.relax_time), 1.0)
-        for name in ("RELAX_TIME", "DRIFT_TIME", "WAIT"):
-            m[AT[name]] *= slower
+        m, slower = self.scalars, max((delay + dt) / (_SLOWED_GAIN * self.options.relax_time), 1.0)
+        for name in ("relax_time", "drift_time", "wait"):
+            setattr(m, name, slower * getattr(m, name))
         return delay <= _TOO_LATE
 
     def far(self, shift: Array) -> float:
@@ -392,7 +397,7 @@ class Relaxation:
             InvalidInputError: that is out of reach.
         """
         O = self._chain.carried(q)
-        errors = self._chain.errors(O, pin.SE3(O[0, :3].T, O[0, 3]))
+        errors = self._chain.errors(O, O[0])
         shift: Array = (self._relative @ errors.ravel()).reshape(-1, 6)
         if self.options.palms is not None:  # they slide, and keep their places
             return shift if self.far(shift) < 1.0 else np.zeros_like(shift)

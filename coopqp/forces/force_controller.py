@@ -13,7 +13,6 @@ from coopqp.checks import ArrayLike, as_options, as_scalar, require
 from coopqp.constraints.cause import Cause
 from coopqp.control.core.allow_plain import BY_CONTACT, BY_FRICTION, BY_REACH, BY_SENSOR, BY_STAGE, NOTHING_MORE
 from coopqp.control.core.relax_plain import (
-    AT,
     CHECKING,
     HEARD,
     PRESSING,
@@ -90,8 +89,8 @@ class ForceController:
         self._relaxation = Relaxation(
             self.cell, self.grasp, options, dt=controller.dt, shares=controller.shares, kernel=controller.kernel
         )
-        self._memory = self._relaxation.memory
-        self._memory[AT["ASKED"]] = controller.override
+        self._memory, self._scalars = self._relaxation.memory, self._relaxation.scalars
+        self._scalars.asked = controller.override
         #: What is known of the sensors; None if they read as they should.
         self._maps = SensorMaps(self.cell, options.sensors) if options.sensors else None
         if self._maps is not None:
@@ -173,16 +172,16 @@ class ForceController:
         """Take another path; see :meth:`coopqp.QPController.follow`. It ends a hold, as :meth:`resume` does."""
         self._qp.follow(path, clock=clock)
         self.path = path
-        self._memory[AT["GOES_ON"]] = 1.0
+        self._scalars.goes_on = 1.0
 
     def retarget(self, T_world_object: Placement) -> None:
         """Move the target of a servo path; see :meth:`coopqp.QPController.retarget`. It ends a hold, as resume does."""
         self._qp.retarget(T_world_object)
-        self._memory[AT["GOES_ON"]] = 1.0
+        self._scalars.goes_on = 1.0
 
     def set_override(self, share: float) -> None:
         """The largest rate of the object; see :meth:`coopqp.QPController.set_override`."""
-        self._memory[AT["ASKED"]] = as_scalar(share, "set_override: share", open_low=False, high=1.0)
+        self._scalars.asked = as_scalar(share, "set_override: share", open_low=False, high=1.0)
 
     def pause(self) -> None:
         """Bring the object to rest until :meth:`resume`; the arms go on to relax."""
@@ -191,7 +190,7 @@ class ForceController:
     def resume(self) -> None:
         """Go on after :meth:`pause`, or after the object has touched something: half a second after the last push."""
         self._qp.resume()
-        self._memory[AT["GOES_ON"]] = 1.0
+        self._scalars.goes_on = 1.0
 
     # -- the wrenches --------------------------------------------------------------------------------------------
 
@@ -260,7 +259,7 @@ class ForceController:
         if gives and relaxation.aged:
             relaxation.look(self.controller.commanded)
         heard = relaxation.step(w, length)
-        if stage < RELAXING and not self._memory[AT["SENSOR_FAULT"]]:
+        if stage < RELAXING and not self._scalars.sensor_fault:
             self._prepare(w, q_measured, length, heard == HEARD)
         elif stage == PRESSING and self._check is not None:  # a sensor fell silent: the press ends
             relaxation.shift += min(length / self.options.ramp_time, 1.0) * (self._place - relaxation.shift)
@@ -273,18 +272,18 @@ class ForceController:
         return self._made(self.controller.step(q_measured, dt=dt))
 
     def _made(self, step: ControlStep) -> ControlStep:
-        m = self._memory
+        m = self._scalars
         self._relaxation.refer(self.controller.reference, step.dt)
-        m[AT["LAST_RATE"]], m[AT["STEPPED"]] = step.rate, 1.0
-        m[AT["AT_END"]] = not step.clock_next > step.clock
-        m[AT["LAST_SPEED"]] = np.abs(step.velocity).max()
-        if m[AT["WHY"]] != NOTHING_MORE:
+        m.last_rate, m.stepped = step.rate, 1.0
+        m.at_end = not step.clock_next > step.clock
+        m.last_speed = np.abs(step.velocity).max()
+        if m.why != NOTHING_MORE:
             self._tell(step)
         return step
 
     @property
     def _stage(self) -> int:
-        return int(self._memory[AT["STAGE"]])
+        return int(self._scalars.stage)
 
     def _taken(self, wrenches: ArrayLike | None) -> Array | None:
         """The wrenches as an array (N, 6) that the core can read."""
@@ -301,10 +300,10 @@ class ForceController:
 
     def _prepare(self, w: Array | None, q_measured: ArrayLike | None, dt: float, heard: bool) -> None:
         """One step of the stages before the relaxation."""
-        m, q = self._memory, None if q_measured is None else np.asarray(q_measured, dtype=float)
+        m, q = self._scalars, None if q_measured is None else np.asarray(q_measured, dtype=float)
         if q is None or q.shape != (self.cell.nq,) or not np.isfinite(q).all():
             q = None  # the controller says so
-        if self._stage == CHECKING and m[AT["STEPPED"]] and heard and q is not None:
+        if self._stage == CHECKING and m.stepped and heard and q is not None:
             check = None if self._disturbed else self._relaxation.sensor_check(q, self.dt)
             if check is None:
                 self._compare(q)
@@ -312,9 +311,9 @@ class ForceController:
                 self._check, self._place = check, self.shift
                 self._relaxation.wait_for(None, self.dt)
                 self._go_on(PRESSING)
-            if m[AT["SENSOR_FAULT"]]:
+            if m.sensor_fault:
                 return
-        m[AT["SINCE"]] += dt
+        m.since += dt
         if self._stage != PRESSING:
             return
         if self._check is None:
@@ -325,9 +324,9 @@ class ForceController:
 
     def _press(self, check: SensorCheck, w: Array | None, q: Array, dt: float) -> None:
         """Press the sensors; in the end, say which of them are wrong."""
-        m = self._memory
+        m = self._scalars
         if not check.began:  # the force at the start is that before the presses
-            m[AT["START_SIZE"]] = max(m[AT["START_SIZE"]], m[AT["SIZE"]])
+            m.start_size = max(m.start_size, m.size)
         shift = check.press(w, self.controller.commanded, q, dt)
         if check.disturbed:  # sensors are compared with the servos, and the arms relax from where they are
             self._check, self._disturbed = None, True
@@ -345,24 +344,24 @@ class ForceController:
         if not wrong and not self._relaxation.slow_down(found.latest, self.dt):
             wrong = [k for k, finding in enumerate(found.findings) if finding.late]
         if wrong:
-            m[AT["SENSOR_FAULT"]], m[AT["SENSOR_ARM"]] = SENSOR_WRONG, wrong[0]
+            m.sensor_fault, m.sensor_arm = SENSOR_WRONG, wrong[0]
         self._go_on(RELAXING)
 
     def _compare(self, q: Array) -> None:
         """Compare the sensors with the servos at rest; in the end, say which sensor is wrong."""
-        m = self._memory
+        m = self._scalars
         self._differences += self._relaxation.off_servos(self.controller.commanded, q)
         self._compared += 1
-        if m[AT["SINCE"]] < self.options.check_time:
+        if m.since < self.options.check_time:
             return
         off = np.linalg.norm(self._differences[:, :3] / self._compared, axis=1)
         k = int(off.argmax())
         if off[k] > self.options.sensor_tolerance:
-            m[AT["SENSOR_FAULT"]], m[AT["SENSOR_ARM"]], m[AT["SENSOR_AMOUNT"]] = SENSOR_WRONG, k, off[k]
+            m.sensor_fault, m.sensor_arm, m.sensor_amount = SENSOR_WRONG, k, off[k]
         self._go_on(PRESSING)
 
     def _go_on(self, stage: int) -> None:
-        self._memory[AT["STAGE"]], self._memory[AT["SINCE"]] = stage, 0.0
+        self._scalars.stage, self._scalars.since = stage, 0.0
 
     # -- copies --------------------------------------------------------------------------------------------------
 
@@ -390,10 +389,10 @@ class ForceController:
 
     def _tell(self, step: ControlStep) -> None:
         """Put the forces' reason into a step, before anyone sees it."""
-        why = int(self._memory[AT["WHY"]])
+        why = int(self._scalars.why)
         status = step.status
         if (
-            why in (BY_SENSOR, BY_REACH, BY_CONTACT) or squeezes(self._memory)
+            why in (BY_SENSOR, BY_REACH, BY_CONTACT) or squeezes(self._scalars)
         ) and status.precedence < Status.HOLDING.precedence:
             status = Status.HOLDING
         amend(
@@ -418,7 +417,7 @@ class ForceController:
         return Cause.SENSOR if by_sensor else Cause.LIMIT
 
     def _why(self, why: int) -> str:
-        m = self._memory
+        m = self._scalars
         if why == BY_SENSOR:
             return self._fault()
         if why == BY_CONTACT:
@@ -429,20 +428,20 @@ class ForceController:
             return f"the arms squeeze the object further while they relax: {self._most()}"
         if why == BY_STAGE:
             waits = self._stage == CHECKING and not self._compared
-            if waits and m[AT["SINCE"]] > self.options.check_time + _PATIENCE * self.dt:
+            if waits and m.since > self.options.check_time + _PATIENCE * self.dt:
                 return "the sensors cannot be compared with the servos: give q_measured, and wrenches of all arms"
             late = self._found is not None and self._found.latest > 0.0
             slowly = f" ({self._found.explain()}; forces relax more slowly)" if late and self._found else ""
             return f"{_STAGES[self._stage]}: {self._most()}{slowly}"
         if why == BY_FRICTION:
-            used, arm = m[AT["FRICTION_USED"]], self.cell.arm_names[int(m[AT["WHY_ARM"]])]
+            used, arm = m.friction_used, self.cell.arm_names[int(m.why_arm)]
             return f"{100.0 * used:.0f} % of the friction at the palm of arm {arm}"
         return f"{self._most()} (slower from {self.options.slow_from:g} N on)"
 
     def _fault(self) -> str:
-        m = self._memory
-        arm, amount = self.cell.arm_names[int(m[AT["SENSOR_ARM"]])], m[AT["SENSOR_AMOUNT"]]
-        if m[AT["SENSOR_FAULT"]] == SENSOR_SILENT:
+        m = self._scalars
+        arm, amount = self.cell.arm_names[int(m.sensor_arm)], m.sensor_amount
+        if m.sensor_fault == SENSOR_SILENT:
             return f"no new wrench of arm {arm} for {1e3 * amount:.0f} ms"
         if self._found is not None:
             return self._found.explain()

@@ -16,7 +16,7 @@ from coopqp.forces.sensor_fit import SensorFit
 from coopqp.model.cell import RobotCell
 from coopqp.model.chain import Chain
 from coopqp.model.grasp import Grasp
-from coopqp.spatial import Array
+from coopqp.spatial import Array, for_twists
 
 #: Range of the size of presses, over the one for the stiffness that is told.
 _SCALES = (0.05, 2.0)
@@ -127,17 +127,15 @@ class SensorCheck:
         """C of each arm in the object frame (N, 6, 6), at q."""
         chain = self._chain
         O = chain.carried(q)[0]
-        chain.evaluate(q, about=O[3].copy())
-        R = np.zeros((6, 6))
-        R[:3, :3] = R[3:, 3:] = O[:3].T
-        self._R = R
+        chain.evaluate(q, about=O.translation)
+        R = self._R = for_twists(O.rotation)
         out: Array = R.T @ chain.compliances(self._softness) @ R
         return out
 
     def _hear(self, wrenches: Array | None, commanded: Array, measured: Array) -> None:
         n, chain = len(self._cell), self._chain
         O = chain.carried(commanded)
-        parted = chain.errors(O, pin.SE3(O[0, :3].T, O[0, 3]))
+        parted = chain.errors(O, O[0])
         caused = (self._stiffness @ parted.ravel()).reshape(n, 6)
         compliances = self._compliances(measured)
         bent = chain.twists(pin.difference(self._cell.model, measured, commanded)) @ self._R

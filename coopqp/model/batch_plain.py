@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
-from coopqp.spatial import Array, cross_last, rotations
+from coopqp.spatial import Array, cross, rotations
 
 _PER_JOINT, _SLIDES, _WEIGHT = 14, 12, 13
 _LEAST_DAMPING = 1e-15
@@ -102,10 +102,7 @@ def jacobian_slopes(J: Array, slope: Array) -> Array:
     moved = J * slope[:, :, None]
     turned = moved[:, :, 3:].cumsum(axis=1)  # by the joints up to j
     beyond = moved[:, ::-1, :3].cumsum(axis=1)[:, ::-1] - moved[:, :, :3]  # by the joints after j
-    out = np.empty_like(J)
-    out[:, :, :3] = cross_last(turned, v) + cross_last(w, beyond)
-    out[:, :, 3:] = cross_last(turned, w)
-    return out
+    return np.concatenate([cross(turned, v) + cross(w, beyond), cross(turned, w)], axis=2)
 
 
 def walk(

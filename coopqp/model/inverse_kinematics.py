@@ -20,7 +20,7 @@ from coopqp.model.cell import Arm, RobotCell
 from coopqp.model.chain import Chain
 from coopqp.model.grasp import Grasp
 from coopqp.native.constants import LONGEST_STEP
-from coopqp.spatial import Array, Placement, as_placement
+from coopqp.spatial import Array, Placement, as_placement, for_twists
 
 _LAST = threading.local()
 
@@ -28,13 +28,12 @@ _LAST = threading.local()
 def newton(chain: Chain, target: pin.SE3, q: Array, *, tolerance: float, max_iter: int) -> tuple[Array, Array]:
     """Iterate from ``q``; returns the last configuration and its errors (N, 6) with respect to ``target``."""
     R, about = target.rotation, target.translation
-    velocity = np.empty(chain.nv)
     errors = chain.errors(chain.carried(q), target)
     for _ in range(max_iter):
         if np.abs(errors).max() <= tolerance:
             break
         chain.linearise(q, about)
-        step = chain.joint_velocities(np.hstack([-errors[:, :3] @ R.T, -errors[:, 3:] @ R.T]), velocity)
+        step = chain.joint_velocities(-errors @ for_twists(R).T)
         largest = np.abs(step).max()
         if not np.isfinite(largest):
             break

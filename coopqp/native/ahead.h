@@ -36,7 +36,7 @@ static void copy_knot(Core *c, int from, int to) {
     memcpy(edges_of(c, to), edges_of(c, from), bytes);
 }
 
-static void name_cause(Cause &cause, int kind, int arm, int joint) {
+static void name_cause(Cause &cause, LimitKind kind, int arm, int joint) {
     cause = Cause{(double)kind, (double)arm, (double)joint};
 }
 

@@ -17,7 +17,7 @@ static double share_used(const double *bound, const double *w) {
 }
 
 /* The busiest palm's use, and which it is; the normal force that all would need. */
-static double palms_used(int arms, const Minding *f, int *busiest, double *needed) {
+static double palms_used(int arms, const MindingArrays *f, int *busiest, double *needed) {
     double most = -1.0;
     *needed = 0.0, *busiest = 0;
     for (int k = 0; k < arms; k++) {
@@ -32,52 +32,52 @@ static double palms_used(int arms, const Minding *f, int *busiest, double *neede
 }
 
 /* Raise the squeeze where the load that is felt needs more; it never falls again. */
-static void press_harder(int arms, const Minding *f, double needed, double dt) {
-    double *m = f->m;
-    m[NEEDED] += dt / (dt + m[WRENCH_FILTER]) * (minimum(needed, m[MOST_SQUEEZE]) - m[NEEDED]);
-    const double wanted = minimum(SPARE_SQUEEZE * m[NEEDED], m[MOST_SQUEEZE]);
-    if (!(wanted > m[PRESSED_WITH])) return;
-    m[PRESSED_WITH] = minimum(wanted, m[PRESSED_WITH] + FIRMER * dt);
-    for (int i = 0; i < 6 * arms; i++) f->target[i] = m[PRESSED_WITH] / m[SQUEEZE] * f->squeezed[i];
+static void press_harder(int arms, const MindingArrays *f, double needed, double dt) {
+    Minding *m = f->m;
+    m->needed += dt / (dt + m->wrench_filter) * (minimum(needed, m->most_squeeze) - m->needed);
+    const double wanted = minimum(SPARE_SQUEEZE * m->needed, m->most_squeeze);
+    if (!(wanted > m->pressed_with)) return;
+    m->pressed_with = minimum(wanted, m->pressed_with + FIRMER * dt);
+    for (int i = 0; i < 6 * arms; i++) f->target[i] = m->pressed_with / m->squeeze * f->squeezed[i];
 }
 
 /* Let the rate that forces allow come closer to `cap`: it falls in proportion to itself, as braking makes forces of its own, and
  * rises the less, the more is felt, and the stiffer the servos are. */
-static void ease_cap(double *m, double cap, double dt) {
-    const double falls = maximum(m[FORCE_CAP], SLOW_RATE) / RATE_FALLS;
-    const double calm = maximum(1.0 - m[SIZE] / m[FORCE_SLOWS], LEAST_CALM) / sqrt(maximum(m[STIFFER], 1.0));
-    m[FORCE_CAP] = minimum(maximum(cap, m[FORCE_CAP] - falls * dt), m[FORCE_CAP] + calm * dt / RATE_RISES);
+static void ease_cap(Minding *m, double cap, double dt) {
+    const double falls = maximum(m->force_cap, SLOW_RATE) / RATE_FALLS;
+    const double calm = maximum(1.0 - m->size / m->force_slows, LEAST_CALM) / sqrt(maximum(m->stiffer, 1.0));
+    m->force_cap = minimum(maximum(cap, m->force_cap - falls * dt), m->force_cap + calm * dt / RATE_RISES);
 }
 
 /* Whether friction is what slows the object. */
-static int friction_slows(int arms, const Minding *f, double dt) {
-    double *m = f->m, needed;
+static int friction_slows(int arms, const MindingArrays *f, double dt) {
+    Minding *m = f->m;
+    double needed;
     int busiest;
     const double used = palms_used(arms, f, &busiest, &needed);
     press_harder(arms, f, needed, dt);
-    m[FRICTION_USED] += dt / (dt + m[WRENCH_FILTER]) * (minimum(used, 2.0) - m[FRICTION_USED]);
-    if (!(m[FRICTION_USED] > FRICTION_SLOWS)) return 0;
-    ease_cap(m, maximum((1.0 - m[FRICTION_USED]) / (1.0 - FRICTION_SLOWS), 0.0), dt);
-    m[WHY_ARM] = busiest;
+    m->friction_used += dt / (dt + m->wrench_filter) * (minimum(used, 2.0) - m->friction_used);
+    if (!(m->friction_used > FRICTION_SLOWS)) return 0;
+    ease_cap(m, maximum((1.0 - m->friction_used) / (1.0 - FRICTION_SLOWS), 0.0), dt);
+    m->why_arm = busiest;
     return 1;
 }
 
-/* Find the largest rate of the object now, ALLOWED, and WHY it is less than the wanted rate. */
-static void allow(int arms, double *memory, double dt) {
-    const Minding f = minding_of(arms, memory);
-    double *m = memory;
-    int why = NOTHING_MORE;
-    if (m[SENSOR_FAULT] != SENSORS_FINE) why = BY_SENSOR;
-    else if (m[TOUCHES] != 0.0) why = BY_CONTACT;
-    else if (m[SATURATED] != 0.0 && m[SIZE] > m[FORCE_SLOWS]) why = BY_REACH;
-    else if (m[STAGE] != MOVING) why = BY_STAGE;
-    m[WHY] = why, m[ALLOWED] = 0.0;
+/* Find the largest rate of the object now, `allowed`, and `why` it is less than the wanted rate. */
+static void allow(int arms, Minding *m, double dt) {
+    const MindingArrays f = minding_of(arms, m);
+    Why why = NOTHING_MORE;
+    if (m->sensor_fault != SENSORS_FINE) why = BY_SENSOR;
+    else if (m->touches != 0.0) why = BY_CONTACT;
+    else if (m->saturated != 0.0 && m->size > m->force_slows) why = BY_REACH;
+    else if (m->stage != MOVING) why = BY_STAGE;
+    m->why = why, m->allowed = 0.0;
     if (why != NOTHING_MORE) return;
-    if (m[HAS_PALMS] != 0.0 && friction_slows(arms, &f, dt)) {
-        m[WHY] = BY_FRICTION, m[ALLOWED] = minimum(m[FORCE_CAP], m[ASKED]);
+    if (m->has_palms != 0.0 && friction_slows(arms, &f, dt)) {
+        m->why = BY_FRICTION, m->allowed = minimum(m->force_cap, m->asked);
         return;
     }
-    ease_cap(m, clamp((m[FORCE_HOLDS] - m[SIZE]) / (m[FORCE_HOLDS] - m[FORCE_SLOWS]), 0.0, 1.0), dt);
-    m[WHY] = m[FORCE_CAP] >= m[ASKED] ? NOTHING_MORE : BY_FORCE;
-    m[ALLOWED] = minimum(m[FORCE_CAP], m[ASKED]);
+    ease_cap(m, clamp((m->force_holds - m->size) / (m->force_holds - m->force_slows), 0.0, 1.0), dt);
+    m->why = m->force_cap >= m->asked ? NOTHING_MORE : BY_FORCE;
+    m->allowed = minimum(m->force_cap, m->asked);
 }

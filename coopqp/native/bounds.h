@@ -10,8 +10,8 @@
 #define LANES 8
 #define TURN 6.283185307179586
 
-/* Rooms shrink by the most that the joints' way can take. */
-static inline void follow(double *rooms, const double *reach, double *positions, const double *x, const double *continuous,
+/* Clearances shrink by the most that the joints' way can take. */
+static inline void follow(double *clearances, const double *reach, double *positions, const double *x, const double *continuous,
                    Py_ssize_t pairs, Py_ssize_t joints) {
     for (Py_ssize_t j = 0; j < joints; j++) {
         const double *own = reach + j * pairs;
@@ -19,17 +19,17 @@ static inline void follow(double *rooms, const double *reach, double *positions,
         if (continuous[j] != 0.0 && fabs(TURN - way) < way) way = fabs(TURN - way);
         positions[j] = x[j];
         if (way != 0.0)
-            for (Py_ssize_t k = 0; k < pairs; k++) rooms[k] -= own[k] * way;
+            for (Py_ssize_t k = 0; k < pairs; k++) clearances[k] -= own[k] * way;
     }
 }
 
-/* Largest reach over room, per joint; 0 if a room is not positive. `shares` is memory for one number per pair. */
-static inline int certify(const double *rooms, const double *reach, double spare, double *shares, double *out,
+/* Largest reach over clearance, per joint; 0 if a clearance is not positive. `shares` is memory for one number per pair. */
+static inline int certify(const double *clearances, const double *reach, double spare, double *shares, double *out,
                    Py_ssize_t pairs, Py_ssize_t joints) {
     for (Py_ssize_t j = 0; j < joints; j++) out[j] = 0.0;
     for (Py_ssize_t k = 0; k < pairs; k++) {
-        if (!(rooms[k] > spare)) return 0;
-        shares[k] = 1.0 / (rooms[k] - spare);
+        if (!(clearances[k] > spare)) return 0;
+        shares[k] = 1.0 / (clearances[k] - spare);
     }
     for (Py_ssize_t j = 0; j < joints; j++) {
         const double *own = reach + j * pairs;
@@ -57,13 +57,13 @@ static inline void gradient(const double *ends, const double *J, const double *k
     }
 }
 
-/* The pair whose room, at least `least`, may be used up first: `most` is what a unit of motion takes. -1 of none. */
-static inline Py_ssize_t soonest(const double *rooms, const double *most, double least, Py_ssize_t pairs) {
+/* The pair whose clearance, at least `least`, may be used up first: `most` is what a unit of motion takes. -1 of none. */
+static inline Py_ssize_t soonest(const double *clearances, const double *most, double least, Py_ssize_t pairs) {
     double share = -1.0;
     Py_ssize_t found = -1;
     for (Py_ssize_t k = 0; k < pairs; k++) {
-        const double room = rooms[k] > least ? rooms[k] : least;
-        if (most[k] > share * room) share = most[k] / room, found = k;
+        const double clearance = clearances[k] > least ? clearances[k] : least;
+        if (most[k] > share * clearance) share = most[k] / clearance, found = k;
     }
     return found;
 }
@@ -75,7 +75,7 @@ static inline int breakable(const double *G, double lower, const double *most, P
     return fastest > -lower;
 }
 
-/* What d' >= -approach room asks of a pair. */
-static inline double least_speed(double room, double approach) { return room > 0.0 ? -room * approach : 0.0; }
+/* What d' >= -approach clearance asks of a pair. */
+static inline double least_speed(double clearance, double approach) { return clearance > 0.0 ? -clearance * approach : 0.0; }
 
 #endif

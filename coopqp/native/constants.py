@@ -51,6 +51,22 @@ FASTEST_JOINT = 1e9  # stands for the speed of a joint without velocity limit [r
 MOST_SWEEPS = 12  # of Jacobi's rotations
 SMALL_ROTATION = 1e-16  # entries this small over the trace need none
 
+# -- clearances of bodies ----------------------------------------------------------------------------------------------
+WATCHED = 0.1  # pairs are asked within this of their margin in a step at most [m],
+WATCHED_BLIND = 0.3  # and within this where nothing is known ahead
+BEND_SAMPLE = 5e-4  # a pair is asked between knots or at a step's end where its bodies move by more [m]
+BENT_WAY = 1.02  # the joints' way between knots is no longer than this many times the straight one
+STANDING = 1e-9  # a distance that falls by less stands still [m]
+LEAST_CLEARANCE = 1e-9  # a clearance that counts as none [m]
+DEEPEST = -1.0  # where bodies overlap coal's search may fail, and answers the smallest number that there is [m]
+EVADES_EARLY = 0.05  # evasion begins this far beyond the comfort, gently [m]
+GENTLE = 0.1  # missing speed of a distance up to which evasion grows with its square [m/s]
+# With 1000 arms swung past posts at many times their speeds, along slopes that the look-ahead cannot follow.
+YIELDS = 50.0  # a row of evasion that is broken by the inverse costs as much as a self-motion of 1
+HELPS = 1e-6  # a self-motion that changes no distance by more does not help [m per unit of joint speed]
+SMALL_CLEARANCE = 1e-6  # a start this far inside a margin is outside it but for rounding [m]
+FARTHEST_POINT = 1e9  # nearest points beyond this are none: that search has failed [m]
+
 # -- preview -----------------------------------------------------------------------------------------------------------
 STEPS_TO_FULL_SPEED = 22  # steps in which a joint without acceleration limit is planned to reach full speed
 PASSABLE = 0.3  # a singularity is passed where the rate's cap stays above this share of singular_rate

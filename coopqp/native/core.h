@@ -46,7 +46,7 @@ struct Core {
      * their starts. A path without segments is known to own_path. */
     const double *path_numbers;
     double duration;
-    double *minding; /* of the forces between the arms, see minding.h; nullptr where nobody minds them */
+    Minding *minding; /* of the forces between the arms, see minding.h; nullptr where nobody minds them */
     /* Calls into Python; 0 if they fail. `out` takes R (9) and p (3), or with `twist` six numbers. */
     int (*own_path)(Core *c, double clock, int twist, double *out);
     /* May lower cap and decrease of a new knot; nullptr for none. `slot` is its place in the ring. */
@@ -65,9 +65,9 @@ struct Arithmetic {
     void (*start)(Core *c, const double *positions);
     void (*start_path)(Core *c, double clock, double rate);
     void (*observe)(Core *c, const double *q, const double *dt);
-    int (*propose)(Core *c);
-    int (*answer)(Core *c);
-    int (*commit)(Core *c);
+    Outcome (*propose)(Core *c);
+    Outcome (*answer)(Core *c);
+    Status (*commit)(Core *c);
     int (*read)(Core *c, double cap);
     int (*quiet)(const Core *c);
     void (*expect_shift)(Core *c, const double *shift);
@@ -79,8 +79,8 @@ struct Arithmetic {
      * the path in `numbers`; 0 if not yet; −1 if an arm is singular. `full` is the largest rate asked for. */
     int (*go_over)(Core *c, const double *goal, double speed, double spin, double full, double *numbers);
     /* The relaxation of forces, in its own memory; see relax.cpp and allow.cpp. `wrenches` may be nullptr. */
-    int (*relax)(int arms, double *memory, const double *wrenches, double dt);
-    void (*allow)(int arms, double *memory, double dt);
+    Hearing (*relax)(int arms, Minding *m, const double *wrenches, double dt);
+    void (*allow)(int arms, Minding *m, double dt);
 };
 
 namespace plain {
@@ -88,6 +88,14 @@ extern const Arithmetic arithmetic;
 }
 namespace avx2 {
 extern const Arithmetic arithmetic;
+}
+
+/* The best arithmetic that this processor can do. */
+inline const Arithmetic *best() {
+#ifdef HAS_AVX2_ARITHMETIC
+    if (__builtin_cpu_supports("avx2") && __builtin_cpu_supports("fma")) return &avx2::arithmetic;
+#endif
+    return &plain::arithmetic;
 }
 
 #endif

@@ -98,7 +98,7 @@ static void posture_velocity(Core *c, const double *positions, double *v);
 /* Distance of two poses [m]; 1 rad counts as TURN_LENGTH. */
 static double pose_distance(const double *R0, const double *p0, const double *R1, const double *p1);
 /* The arms hold in this step: for a reason, with an arm (or an index) and a number. */
-static void refuse(Core *c, int reason, int index, double a);
+static void refuse(Core *c, Reason reason, int index, double a);
 
 /* -- ldp.cpp ------------------------------------------------------------------------------------------- */
 

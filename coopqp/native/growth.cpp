@@ -29,7 +29,7 @@ static int singular_arm(const Core *c, int i) {
 }
 
 /* The object stops at knot i. */
-static void block_at(Core *c, int i, int arm, int joint, int kind) {
+static void block_at(Core *c, int i, int arm, int joint, LimitKind kind) {
     const int count = (int)c->ahead->count;
     copy_knot(c, i, count);
     if (i < count) knot(c, count)->span = 0.0; /* the same knot again */

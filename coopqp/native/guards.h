@@ -32,44 +32,20 @@ static void guard(const Core *c, int closed) {
     }
 }
 
-#define RUN(c, call) \
-    guard(c, 1);     \
-    call;            \
-    guard(c, 0)
-
-static void guarded_start(Core *c, const double *positions) { RUN(c, guards_of(c)->can->start(c, positions)); }
-static void guarded_start_path(Core *c, double clock, double rate) {
-    RUN(c, guards_of(c)->can->start_path(c, clock, rate));
-}
-static void guarded_observe(Core *c, const double *q, const double *dt) { RUN(c, guards_of(c)->can->observe(c, q, dt)); }
-static int guarded_propose(Core *c) {
-    RUN(c, const int found = guards_of(c)->can->propose(c));
-    return found;
-}
-static int guarded_answer(Core *c) {
-    RUN(c, const int found = guards_of(c)->can->answer(c));
-    return found;
-}
-static int guarded_commit(Core *c) {
-    RUN(c, const int found = guards_of(c)->can->commit(c));
-    return found;
-}
-static int guarded_read(Core *c, double cap) {
-    RUN(c, const int found = guards_of(c)->can->read(c, cap));
-    return found;
-}
-static int guarded_quiet(const Core *c) {
-    RUN(c, const int found = guards_of(c)->can->quiet(c));
-    return found;
-}
-static void guarded_linearise(const Core *c, const double *positions, const double *about, double *carried,
-                              double *jacobian) {
-    RUN(c, guards_of(c)->can->linearise(c, positions, about, carried, jacobian));
+/* A call of the arithmetic, with the gaps closed as long as it lasts. */
+template <auto CALL, typename R, typename C, typename... Args>
+R guarded_call(C *c, Args... args) {
+    struct Closed {
+        const Core *core;
+        explicit Closed(const Core *one) : core(one) { guard(core, 1); }
+        ~Closed() { guard(core, 0); }
+    } closed(c);
+    return (guards_of(c)->can->*CALL)(c, args...);
 }
 
-static int guarded_go_over(Core *c, const double *goal, double speed, double spin, double full, double *numbers) {
-    RUN(c, const int found = guards_of(c)->can->go_over(c, goal, speed, spin, full, numbers));
-    return found;
+template <auto CALL, typename R, typename C, typename... Args>
+void guard_call(Arithmetic &calls, R (*Arithmetic::*)(C *, Args...)) {
+    calls.*CALL = guarded_call<CALL, R, C, Args...>;
 }
 
 /* The same calls, guarded. */
@@ -77,10 +53,9 @@ static const Arithmetic *guarded(const Core *c, const Arithmetic *can) {
     static Arithmetic calls;
     guards_of(c)->can = can;
     calls = *can;
-    calls.start = guarded_start, calls.start_path = guarded_start_path, calls.observe = guarded_observe;
-    calls.propose = guarded_propose, calls.answer = guarded_answer, calls.commit = guarded_commit;
-    calls.read = guarded_read, calls.quiet = guarded_quiet;
-    calls.linearise = guarded_linearise, calls.go_over = guarded_go_over;
+#define GUARD(name) guard_call<&Arithmetic::name>(calls, &Arithmetic::name);
+    GUARD(start) GUARD(start_path) GUARD(observe) GUARD(propose) GUARD(answer)
+    GUARD(commit) GUARD(read) GUARD(quiet) GUARD(linearise) GUARD(go_over)
     return &calls;
 }
 #else

@@ -29,8 +29,8 @@ def header(constants: ModuleType, layout: ModuleType) -> str:
     lines += ["#include <type_traits>", ""]
     lines += [f"#define {name} {value!r}" for name, value in vars(constants).items() if name.isupper()]
     lines += [""]
-    for count, names in layout.LISTS.items():
-        lines.append("enum { " + ", ".join((*names, f"N_{count}")) + " };")
+    for name, codes in layout.ENUMS.items():
+        lines.append(f"enum {name} {{ {', '.join(codes)} }};")
     for name, kind in layout.STRUCTS.items():
         members = " ".join(f"{of.__name__.replace('c_', '')} {member};" for member, of in kind._fields_)
         size = ctypes.sizeof(kind) // 8

@@ -74,29 +74,25 @@ Record = _struct(
     "dt clock clock_next rate status reason reason_arm reason_a reason_b grasp_share path_share parting outcome "
     "iterations bindings away turned measured apart",
 )
+#: Scalars of the relaxation of forces: settings, then state; see minding.h for the arrays behind them.
+Minding = _struct(
+    "Minding",
+    "wrench_filter dead_band relax_time drift_time ramp_time wrench_silence most_speed most_spin most_reach most_turn "
+    "wait move_below pressed_below force_slows force_holds has_palms squeeze most_squeeze size stiffer relax_ease "
+    "saturated stage since stepped age asked force_cap last_rate last_speed at_end friction_used pressed_with needed "
+    "sensor_fault sensor_arm sensor_amount allowed why why_arm rigid weight_x weight_y weight_z haste suspected "
+    "servo_samples servo_noise corrects start_size way_done load_mass contact_limit load_haste touches pushed "
+    "sharpest asked_dt reference_dt contact_late goes_on back_speed back_owed back_from backs load_speed",
+)
 #: How many numbers a struct has.
 SIZES = {name: ctypes.sizeof(kind) // 8 for name, kind in STRUCTS.items()}
-#: Scalars of the relaxation of forces: settings, then state; see minding.h for the arrays behind them.
-MINDING = (
-    "WRENCH_FILTER", "DEAD_BAND", "RELAX_TIME", "DRIFT_TIME", "RAMP_TIME", "WRENCH_SILENCE",
-    "MOST_SPEED", "MOST_SPIN", "MOST_REACH", "MOST_TURN",
-    "WAIT", "MOVE_BELOW", "PRESSED_BELOW", "FORCE_SLOWS", "FORCE_HOLDS", "HAS_PALMS", "SQUEEZE", "MOST_SQUEEZE",
-    "SIZE", "STIFFER", "RELAX_EASE", "SATURATED",
-    "STAGE", "SINCE", "STEPPED", "AGE", "ASKED", "FORCE_CAP", "LAST_RATE", "LAST_SPEED", "AT_END",
-    "FRICTION_USED", "PRESSED_WITH", "NEEDED",
-    "SENSOR_FAULT", "SENSOR_ARM", "SENSOR_AMOUNT", "ALLOWED", "WHY", "WHY_ARM",
-    "RIGID", "WEIGHT_X", "WEIGHT_Y", "WEIGHT_Z", "HASTE", "SUSPECTED", "SERVO_SAMPLES", "SERVO_NOISE", "CORRECTS",
-    "START_SIZE", "WAY_DONE",
-    "LOAD_MASS", "CONTACT_LIMIT", "LOAD_HASTE", "TOUCHES", "PUSHED", "SHARPEST", "ASKED_DT", "REFERENCE_DT",
-    "CONTACT_LATE", "GOES_ON", "BACK_SPEED", "BACK_OWED", "BACK_FROM", "BACKS", "LOAD_SPEED",
-)  # fmt: skip
 #: Stages of a run with forces, in this order.
 STAGES = ("CHECKING", "PRESSING", "RELAXING", "MOVING")
 #: Readings of the sensors in a step.
 HEARING = ("HEARD", "MISSED", "SILENT")
-#: Faults of a sensor: silent for SENSOR_AMOUNT seconds; SENSOR_AMOUNT newtons from the servos' estimate.
+#: Faults of a sensor: silent for ``sensor_amount`` seconds; ``sensor_amount`` newtons from the servos' estimate.
 SENSORS = ("SENSORS_FINE", "SENSOR_SILENT", "SENSOR_WRONG")
-#: Why the object may move at ALLOWED only; NOTHING_MORE: the operator asks for no more.
+#: Why the object may move at ``allowed`` only; NOTHING_MORE: the operator asks for no more.
 WHYS = ("NOTHING_MORE", "BY_SENSOR", "BY_REACH", "BY_STAGE", "BY_FRICTION", "BY_FORCE", "BY_CONTACT")
 #: Members of Status, in the order of their codes.
 STATUSES = ("TRACKING", "SLOWED", "BLOCKED", "HOLDING", "FAULTED", "PAUSED", "OFF_PATH")
@@ -246,8 +242,8 @@ def _value(size: str, symbols: dict[str, int]) -> int:
     return summed()
 
 
-#: Lists of codes, by what counts them in the header.
-LISTS = {
-    "OUTCOMES": OUTCOMES, "KINDS": KINDS, "REASONS": REASONS, "STATUSES": STATUSES,
-    "MINDING": MINDING, "STAGES": STAGES, "HEARING": HEARING, "SENSORS": SENSORS, "WHYS": WHYS,
+#: Enumerations of the header, and their members in the order of their codes.
+ENUMS = {
+    "Outcome": OUTCOMES, "LimitKind": KINDS, "Reason": REASONS, "Status": STATUSES, "Stage": STAGES,
+    "Hearing": HEARING, "SensorFault": SENSORS, "Why": WHYS,
 }  # fmt: skip

@@ -152,7 +152,7 @@ static int ray(Core *c, double cap) {
 }
 
 /* Which limit makes the bound of joint j on a side: a code of KINDS. */
-static int kind_of(const Core *c, int j, double side, double h) {
+static LimitKind kind_of(const Core *c, int j, double side, double h) {
     const double limit = side > 0.0 ? c->upper[j] : c->lower[j], tolerance = 1e-9 * (1.0 + fabs(limit));
     if (fabs(fabs(limit) - fastest(c, j, h)) <= tolerance) return VELOCITY;
     if (isfinite(c->acceleration[j])) {

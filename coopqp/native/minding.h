@@ -1,5 +1,5 @@
 /* The relaxation of forces between N arms, in a memory of its own that Python owns. The scalars are in
- * layout.MINDING; relax_plain.py lists the same views. `internal` is the internal wrenches less their target. */
+ * the struct Minding; relax_plain.py lists the same views. `internal` is the internal wrenches less their target. */
 
 #ifndef COOPQP_MINDING_H
 #define COOPQP_MINDING_H
@@ -10,8 +10,8 @@
 #define PALM_BOUND 24
 #define PALM (2 * PALM_BOUND)
 
-struct Minding {
-    double *m;                                                         /* the scalars */
+struct MindingArrays {
+    Minding *m;                                                        /* the scalars */
     double *silent;                                                    /* N */
     double *seen, *internal, *shift, *drift, *target, *squeezed;       /* 6 N each */
     double *internal_of, *yields;                                      /* (6 N, 6 N) each */
@@ -27,11 +27,11 @@ struct Minding {
     double *push;                                                      /* 3 now, 3 before it moved, 3 of the last contact, the way back from it, the impulse; see contact() */
 };
 
-static inline Minding minding_of(int arms, double *memory) {
+static inline MindingArrays minding_of(int arms, Minding *m) {
     const int n = 6 * arms;
-    Minding f;
-    f.m = memory;
-    f.silent = memory + N_MINDING;
+    MindingArrays f;
+    f.m = m;
+    f.silent = reinterpret_cast<double *>(m + 1);
     f.seen = f.silent + arms, f.internal = f.seen + n, f.shift = f.internal + n, f.drift = f.shift + n;
     f.target = f.drift + n, f.squeezed = f.target + n;
     f.internal_of = f.squeezed + n, f.yields = f.internal_of + (size_t)n * (size_t)n;
@@ -44,11 +44,11 @@ static inline Minding minding_of(int arms, double *memory) {
 }
 
 /* Numbers of the whole memory. */
-static inline ptrdiff_t minding_size(ptrdiff_t arms) { return N_MINDING + 39 + (128 + PALM) * arms + 108 * arms * arms; }
+static inline ptrdiff_t minding_size(ptrdiff_t arms) { return (ptrdiff_t)sizeof(Minding) / 8 + 39 + (128 + PALM) * arms + 108 * arms * arms; }
 
 /* The grasps give way in this step, unless a sensor is silent for too long. */
-static inline int gives_way(const double *m) {
-    return m[STEPPED] != 0.0 && m[STAGE] >= RELAXING && m[SENSOR_FAULT] == SENSORS_FINE;
+static inline int gives_way(const Minding *m) {
+    return m->stepped != 0.0 && m->stage >= RELAXING && m->sensor_fault == SENSORS_FINE;
 }
 
 #endif

@@ -1,597 +1,578 @@
-/* Rows of a compiled step beside bodies that stand: the NumPy forms are Clearance.rows_by_label and
- * Clearance.tightened. coal is asked for distances, Pinocchio for placements; a step that is not near asks neither. */
+/* See nearby.h. */
 
-#define PY_SSIZE_T_CLEAN
-#include <Python.h>
-#include <stdint.h>
-#include <stdlib.h>
+#include "nearby.h"
+
+#include <math.h>
 #include <string.h>
 
-#include "bounds.h"
-#include "nearby.h"
-#include "pointer.h"
-#include "survey.h"
+#include <algorithm>
+#include <utility>
+
+#include "core.h"
 
 /* Joints this close to their placed positions need no new placement [rad or m]: a step's end is the next one's start. */
 #define SAME_PLACE 1e-14
-/* Nearest points beyond this are none [m]. */
-#define FARTHEST 1e9
-
-/* Arrays, in the order in which Python gives them. */
-enum {
-    /* of the scene: pairs P, joints nv, numbers of a configuration nq */
-    ROOMS, REACH, AT, EPOCH, MARGINS, MOST, FASTEST, KINDS, CONTINUOUS, ARM, SPEEDS, Q_INDEX, Q, JACOBIAN, COUNTS,
-    /* of the step: rows m */
-    POSITIONS, COMMAND, DT, G, LOWER, UPPER, SOFT, OWNER, CENTRE, WEIGHTS, SLACK, APPROACH,
-    /* of knots ahead: numbers, positions, slopes and curvatures of each place */
-    KNOTS, KNOT_AT, KNOT_SLOPE, KNOT_CURVATURE,
-    ARRAYS
-};
-/* Numbers, likewise. */
-enum {
-    BLIND_APPROACH, WATCH, BLIND_WATCH, SAMPLE, STANDS, MOST_PAIRS, KNOT_SIZE, KNOT_SPAN, BENT, SPARE, EVADES, RANGE,
-    LEAST_ROOM, DEEPEST, MOST_ASKED,
-    NUMBERS
-};
-
-/* Work that is spread: none, distances are asked, all is done. */
-enum { IDLE, ASKING, DONE };
-
-/* Distances asked in a step ahead of need; the share of a certificate that is used when the next is begun; pairs are
- * asked ahead of a knot this far beyond the motion to it; so many where a command is shown to be clear. Where less than NEEDED of the certificate of what is far is left
- * the survey goes first. */
-#define ASKED_EARLY 2
-#define ASKED_TO_LAST 2
-#define ASKED_FOR_KNOT 3
+/* A pair is followed by itself within this of its margin, others all together [m]. */
+#define FOLLOWED 0.25
+/* Pairs whose bounds are made sharp in a step, and ahead of need; a share of the distance that is sharp, and one that is
+ * where only more than enough is asked for. */
+#define MOST_SHARPENED 6
+#define SHARPENED_EARLY 4
+#define SHARPENED_AT_START 100
+#define SHARP 1e-4
+#define ROUGH 0.02
+/* The share of a certificate that is used when the next is begun; where less than NEEDED of the certificate of what is far
+ * is left, the survey goes first. Pairs are looked at ahead of a knot this far beyond the motion to it. */
 #define USED 0.5
 #define NEEDED 0.25
 #define WIDER 1.3
 
-#define PLACING 2 /* functions that place the shapes */
+/* -- coal ------------------------------------------------------------------------------------------------------------ */
 
-typedef struct {
-    PyObject_HEAD
-    Py_buffer views[ARRAYS];
-    double *at[ARRAYS], number[NUMBERS];
-    Py_ssize_t pairs, joints, nq, rows;
-    PyObject *owner;                              /* owns the memory that coal writes */
-    PyObject *place[PLACING], *placed[PLACING];   /* functions, and their arguments */
-    PyObject *ask, *questions, *answers, *points; /* function, arguments of each pair, results, functions */
-    const double **normals;                       /* of each pair, in coal's memory */
-    double *d, *watch, *x, *next;                 /* distances, watches, joints as placed and at the end */
-    Survey survey;
-    double epoch;                                 /* of the rooms: another one if they were put anew */
-    double *coming;                               /* motion of the joints to the next knot, as the last one had it */
-    int job;                                      /* for the next certificate, or knot */
-    Py_ssize_t asked;                             /* of this job */
-    double watch_of[2];                           /* approach and range of the watches */
-    uint64_t *known, stamp;                       /* distances with the present stamp are of this placement */
-    int lost;                                     /* the placement of the shapes is unknown */
-    int built;                                    /* the object is complete */
-    Py_ssize_t *near, *which, binding;            /* near pairs, pairs of the rows, number of rows */
-} Nearby;
-
-/* -- asking ---------------------------------------------------------------------------------------------------------- */
-
-static int call(PyObject *function, PyObject *arguments) {
-    PyObject *found = PyObject_CallObject(function, arguments);
-    Py_XDECREF(found);
-    return found != NULL;
-}
-
-/* Put the shapes where they are at positions x; 0 and an exception if that fails. */
-static int place(Nearby *s, const double *x) {
-    double away = s->lost ? INFINITY : 0.0;
-    for (Py_ssize_t j = 0; j < s->joints; j++) away = fmax(away, fabs(x[j] - s->x[j]));
-    if (away <= SAME_PLACE) return 1;
-    for (Py_ssize_t j = 0; j < s->joints; j++) {
-        double *q = s->at[Q] + (Py_ssize_t)s->at[Q_INDEX][j];
-        q[0] = x[j];
-        if (s->at[CONTINUOUS][j] != 0.0) q[0] = cos(x[j]), q[1] = sin(x[j]);
+Coal::Coal(nb::object owner_given, nb::list placing_given, nb::callable ask_given, nb::list questions_given,
+           nb::list answers_given, nb::list points_given, const nb::list &normals_given, Out q_given, In q_index_given,
+           In continuous_given)
+    : owner(std::move(owner_given)), placing(std::move(placing_given)), questions(std::move(questions_given)),
+      answers(std::move(answers_given)), points(std::move(points_given)), ask(std::move(ask_given)),
+      q(std::move(q_given)), q_index(std::move(q_index_given)), continuous(std::move(continuous_given)) {
+    for (nb::handle normal : normals_given) {
+        In view; /* stays there as long as its owner */
+        check_fit(view.take(normal.ptr()) && view.size == 3);
+        normals.push_back(view.data);
     }
-    memcpy(s->x, x, sizeof(double) * (size_t)s->joints);
-    s->stamp++, s->lost = 1;
-    for (int i = 0; i < PLACING; i++)
-        if (!call(s->place[i], s->placed[i])) return 0;
-    s->lost = 0;
-    return 1;
+    check_fit(questions.size() == pairs() && answers.size() == pairs() && points.size() == pairs());
+    check_fit(q_index.size == continuous.size);
+    for (Py_ssize_t j = 0; j < q_index.size; j++)
+        check_fit(q_index.data[j] >= 0.0 && q_index.data[j] + (continuous.data[j] != 0.0 ? 2.0 : 1.0) <= (double)q.size);
+    d.resize(pairs()), known.resize(pairs()), at.resize((size_t)q_index.size);
 }
 
-/* Distance of a pair where the shapes are placed, asked once; NAN and an exception if that fails. */
-static double distance(Nearby *s, Py_ssize_t k) {
-    if (s->known[k] == s->stamp) return s->d[k];
-    if (!call(s->ask, PyList_GetItem(s->questions, k))) return NAN;
-    PyObject *found = PyObject_GetAttrString(PyList_GetItem(s->answers, k), "min_distance");
-    const double d = found ? PyFloat_AsDouble(found) : NAN;
-    Py_XDECREF(found);
-    if (PyErr_Occurred()) return NAN;
-    s->d[k] = d > s->number[DEEPEST] ? d : s->number[DEEPEST];
-    s->known[k] = s->stamp;
-    return s->d[k];
+void Coal::place(const double *x) {
+    double away = lost ? INFINITY : 0.0;
+    for (size_t j = 0; j < at.size(); j++) away = fmax(away, fabs(x[j] - at[j]));
+    if (away <= SAME_PLACE) return;
+    for (size_t j = 0; j < at.size(); j++) {
+        double *own = q.data + (Py_ssize_t)q_index.data[j];
+        own[0] = x[j];
+        if (continuous.data[j] != 0.0) own[0] = cos(x[j]), own[1] = sin(x[j]);
+    }
+    at.assign(x, x + at.size());
+    stamp++, lost = true;
+    for (nb::handle function : placing) function();
+    lost = false;
 }
 
-static int ask_room(Nearby *s, Py_ssize_t k) {
-    const double d = distance(s, k);
-    if (PyErr_Occurred()) return 0;
-    s->at[ROOMS][k] = d - s->at[MARGINS][k];
-    return 1;
+double Coal::distance(Py_ssize_t k) {
+    if (knows(k)) return d[(size_t)k];
+    ask(*questions[(size_t)k]);
+    d[(size_t)k] = maximum(DEEPEST, nb::cast<double>(answers[(size_t)k].attr("min_distance")));
+    known[(size_t)k] = stamp;
+    return d[(size_t)k];
 }
 
-/* Nearest point of the second body of a pair that was asked. */
-static int nearest_point(Nearby *s, Py_ssize_t k, double *p) {
-    PyObject *found = PyObject_CallObject(PyList_GetItem(s->points, k), NULL);
-    Py_buffer view;
-    if (!found) return 0;
-    const int good = PyObject_GetBuffer(found, &view, PyBUF_C_CONTIGUOUS) == 0;
-    if (good && view.len == 3 * sizeof(double)) memcpy(p, view.buf, 3 * sizeof(double));
-    if (good && view.len != 3 * sizeof(double)) PyErr_SetString(PyExc_ValueError, "a point has three numbers");
-    if (good) PyBuffer_Release(&view);
-    Py_DECREF(found);
-    return !PyErr_Occurred();
+void Coal::ends(Py_ssize_t k, double *found) const {
+    In point;
+    const nb::object given = points[(size_t)k]();
+    check_fit(point.take(given.ptr()) && point.size == 3, "a point has three numbers");
+    memcpy(found, normals[(size_t)k], 3 * sizeof(double));
+    memcpy(found + 3, point.data, 3 * sizeof(double));
+    for (int e = 0; e < 6; e++) /* of an overlap whose depth coal did not find */
+        if (!(fabs(found[e]) < FARTHEST_POINT)) memset(found, 0, 6 * sizeof(double));
 }
 
-static Nearby *as_built(PyObject *object) {
-    Nearby *s = (Nearby *)object;
-    if (s->built) return s;
-    PyErr_SetString(PyExc_RuntimeError, "this Nearby was not built");
-    return NULL;
+/* -- shapes ---------------------------------------------------------------------------------------------------------- */
+
+Shapes::Shapes(const In &axes, const In &carriers, const In &shapes, const std::vector<In> &corners, const In &pairs) {
+    enum { KIND, JOINT, HALF, RADIUS = HALF + 3, PLACE, NUMBERS = PLACE + 12 };
+    const size_t count = corners.size(), n = (size_t)carriers.size;
+    check_fit(axes.size == 6 * carriers.size && (size_t)shapes.size == NUMBERS * count && pairs.size % 2 == 0);
+    joint.resize(n), shape.resize(count), stamps.resize(count), x.resize(n);
+    for (size_t j = 0; j < n; j++) {
+        memcpy(joint[j].moment, axes.data + 6 * j, 3 * sizeof(double));
+        memcpy(joint[j].axis, axes.data + 6 * j + 3, 3 * sizeof(double));
+        check_fit(carriers.data[j] >= -1.0 && carriers.data[j] < (double)j);
+        joint[j].carrier = (int)carriers.data[j];
+    }
+    for (size_t i = 0; i < count; i++) {
+        const double *numbers = shapes.data + NUMBERS * i;
+        Shape &s = shape[i];
+        check_fit(numbers[JOINT] >= -1.0 && numbers[JOINT] < (double)n && numbers[KIND] >= BOX && numbers[KIND] <= HULL);
+        s.kind = (int)numbers[KIND], s.joint = (int)numbers[JOINT], s.radius = numbers[RADIUS];
+        memcpy(s.half, numbers + HALF, sizeof s.half);
+        memcpy(s.R0, numbers + PLACE, sizeof s.R0), memcpy(s.p0, numbers + PLACE + 9, sizeof s.p0);
+        memcpy(s.R, s.R0, sizeof s.R), memcpy(s.p, s.p0, sizeof s.p);
+        s.corners.assign(corners[i].data, corners[i].data + corners[i].size);
+        check_fit(s.corners.size() % 3 == 0 && (s.kind != HULL || !s.corners.empty()));
+    }
+    for (Py_ssize_t i = 0; i < pairs.size; i++) {
+        check_fit(pairs.data[i] >= 0.0 && pairs.data[i] < (double)count);
+        (i % 2 ? second : first).push_back((int)pairs.data[i]);
+    }
+    for (size_t k = 0; k < first.size(); k++) ways.insert(ways.end(), {1.0, 0.0, 0.0});
+}
+
+void Shapes::place(const double *positions) {
+    if (memcmp(x.data(), positions, sizeof(double) * x.size()) == 0) return;
+    x.assign(positions, positions + x.size());
+    stamp++;
+}
+
+/* Where a joint takes what stands at zero positions: p = (1 − R) c about its axis through c, or x along it. */
+const Shapes::Joint &Shapes::placed_joint(int j) {
+    static const Joint world = {{}, {}, {1, 0, 0, 0, 1, 0, 0, 0, 1}, {}, {}, -1, 0};
+    if (j < 0) return world;
+    Joint &own = joint[(size_t)j];
+    if (own.stamp == stamp) return own;
+    const Joint &before = placed_joint(own.carrier);
+    double R[9] = {1, 0, 0, 0, 1, 0, 0, 0, 1}, p[3], turn[3], c[3], moved[3];
+    const double at = x[(size_t)j];
+    if (dot3(own.axis, own.axis) > 0.5) {
+        for (int i = 0; i < 3; i++) turn[i] = at * own.axis[i];
+        exp3(turn, R);
+        cross(own.axis, own.moment, c);
+        rotate(R, c, moved);
+        for (int i = 0; i < 3; i++) p[i] = c[i] - moved[i];
+    } else {
+        for (int i = 0; i < 3; i++) p[i] = at * own.moment[i];
+    }
+    multiply3(before.R, R, own.R);
+    rotate(before.R, p, own.p);
+    for (int i = 0; i < 3; i++) own.p[i] += before.p[i];
+    rotate(before.R, own.axis, own.twist + 3);
+    rotate(before.R, own.moment, own.twist);
+    cross(before.p, own.twist + 3, moved);
+    for (int i = 0; i < 3; i++) own.twist[i] += moved[i];
+    own.stamp = stamp;
+    return own;
+}
+
+const Shape &Shapes::placed(size_t i) {
+    Shape &s = shape[i];
+    if (stamps[i] == stamp || s.joint < 0) return s;
+    const Joint &on = placed_joint(s.joint);
+    multiply3(on.R, s.R0, s.R);
+    rotate(on.R, s.p0, s.p);
+    for (int m = 0; m < 3; m++) s.p[m] += on.p[m];
+    stamps[i] = stamp;
+    return s;
+}
+
+double Shapes::bound(Py_ssize_t k, double enough, double tolerance) {
+    const Shape &a = placed((size_t)first[(size_t)k]), &b = placed((size_t)second[(size_t)k]);
+    return least_gap(a, b, ways.data() + 3 * k, enough, tolerance, nullptr);
+}
+
+double Shapes::gap(Py_ssize_t k, double *ends) {
+    const Shape &a = placed((size_t)first[(size_t)k]), &b = placed((size_t)second[(size_t)k]);
+    double *way = ways.data() + 3 * k;
+    const double found = least_gap(a, b, way, INFINITY, GJK_SHARE, ends + 3);
+    memcpy(ends, way, 3 * sizeof(double));
+    return found;
+}
+
+/* -- evasion --------------------------------------------------------------------------------------------------------- */
+
+void Evasion::add(const std::vector<double> &G, double lacks) {
+    rows.insert(rows.end(), G.begin(), G.end());
+    missing.push_back(lacks);
+}
+
+/* Take its parts along unit vectors out of a vector of n numbers; what is left of its length. */
+static double reject(std::vector<double> &v, const std::vector<std::vector<double>> &units) {
+    double square = 0.0;
+    for (int again = 0; again < 2; again++)
+        for (const std::vector<double> &u : units) {
+            double part = 0.0;
+            for (size_t i = 0; i < v.size(); i++) part += u[i] * v[i];
+            for (size_t i = 0; i < v.size(); i++) v[i] -= part * u[i];
+        }
+    for (const double own : v) square += own * own;
+    return sqrt(square);
+}
+
+/* An orthonormal basis of each redundant arm's self-motion, in units of its joints' speeds. */
+void Evasion::find_basis(Shapes &shapes, const In &arm, const In &speeds) {
+    const size_t nv = (size_t)arm.size;
+    basis.clear();
+    for (size_t begin = 0, end; begin < nv; begin = end) {
+        for (end = begin; end < nv && arm.data[end] == arm.data[begin];) end++;
+        const size_t n = end - begin;
+        if (n <= 6) continue;
+        const auto scale = [&](size_t i) { return speeds.data[begin + i] < FASTEST_JOINT ? speeds.data[begin + i] : 1.0; };
+        std::vector<std::vector<double>> units;
+        for (size_t row = 0; row < n; row++) { /* what moves the tool, then the rest of the space */
+            std::vector<double> v(n), best;
+            double longest = 0.0, size = 0.0;
+            for (size_t tries = 0; tries < (row < 6 ? 1 : n); tries++) {
+                for (size_t i = 0; i < n; i++)
+                    v[i] = row < 6 ? scale(i) * shapes.twist(begin + i)[row] : (i == tries ? 1.0 : 0.0);
+                size = reject(v, units);
+                if (size > longest) longest = size, best = v;
+            }
+            if (!(longest > 0.0)) best.assign(n, 0.0), longest = 1.0;
+            for (double &own : best) own /= longest;
+            units.push_back(best);
+            if (row < 6) continue;
+            basis.resize(basis.size() + nv);
+            for (size_t i = 0; i < n; i++) basis[basis.size() - nv + begin + i] = best[i] * scale(i);
+        }
+    }
+}
+
+/* min |z|² + |s|² with G (q′ + N z) + s / YIELDS >= lower: of rows that self-motion changes, with unit norm. */
+void Evasion::move(Shapes &shapes, const In &arm, const In &speeds, double *slope) {
+    const size_t nv = (size_t)arm.size;
+    find_basis(shapes, arm, speeds);
+    const size_t motions = basis.size() / nv;
+    std::vector<std::vector<double>> helping;
+    low.clear();
+    for (size_t i = 0; i < missing.size(); i++) {
+        std::vector<double> row(motions);
+        double most = 0.0, square = 1.0 / (YIELDS * YIELDS);
+        for (size_t z = 0; z < motions; z++) {
+            for (size_t j = 0; j < nv; j++) row[z] += rows[i * nv + j] * basis[z * nv + j];
+            most = maximum(most, fabs(row[z])), square += row[z] * row[z];
+        }
+        if (!(most > HELPS)) continue;
+        for (double &own : row) own /= sqrt(square);
+        row.push_back(1.0 / (YIELDS * sqrt(square)));
+        helping.push_back(row), low.push_back(missing[i] / sqrt(square));
+    }
+    const size_t m = helping.size(), n = m + motions;
+    if (!m) return;
+    A.assign(m * n, 0.0), high.assign(m, INFINITY), lb.assign(n, -INFINITY), ub.assign(n, INFINITY);
+    x.assign(n, 0.0), y.assign(m + n, 0.0), work.assign(2 * n * (n + 3), 0.0);
+    for (size_t i = 0; i < m; i++) {
+        std::copy(helping[i].begin(), helping[i].end() - 1, A.begin() + (Py_ssize_t)(i * n));
+        A[i * n + motions + i] = helping[i].back();
+    }
+    if (best()->least_distance((int)n, (int)m, A.data(), low.data(), high.data(), lb.data(), ub.data(), INFINITY, x.data(),
+                               y.data(), work.data()) < 0)
+        return;
+    for (size_t z = 0; z < motions; z++)
+        for (size_t j = 0; j < nv; j++) slope[j] += basis[z * nv + j] * x[z];
+}
+
+/* -- building -------------------------------------------------------------------------------------------------------- */
+
+/* An array of a dictionary, of so many numbers; of any number for −1. */
+template <typename T>
+static void take(const nb::dict &arrays, const char *name, T &out, Py_ssize_t size) {
+    const nb::handle given = arrays[name];
+    check_fit(out.take(given.ptr()) && (size < 0 || out.size == size));
+}
+
+Nearby::Nearby(const nb::dict &arrays, const Settings &settings, Coal &&coal_given, Shapes &&shapes_given)
+    : set(settings), coal(std::move(coal_given)), shapes(std::move(shapes_given)), pairs((Py_ssize_t)shapes.pairs()),
+      joints((Py_ssize_t)shapes.joints()) {
+    const Py_ssize_t P = pairs, nv = joints;
+    check_fit(coal.pairs() == (size_t)P && nv > 0);
+    take(arrays, "clearances", clearances, P), take(arrays, "at", at, nv), take(arrays, "counts", counts, 2);
+    take(arrays, "reach", reach, nv * P), take(arrays, "margins", margins, P), take(arrays, "most", most, P);
+    take(arrays, "fastest", fastest, P), take(arrays, "kinds", kinds, nv * P);
+    take(arrays, "continuous", continuous, nv), take(arrays, "arm", arm, nv), take(arrays, "speeds", speeds, nv);
+    take(arrays, "jacobian", jacobian, 6 * nv);
+    take(arrays, "positions", positions, nv), take(arrays, "command", command, nv), take(arrays, "dt", dt, 1);
+    take(arrays, "lower", lower, -1);
+    most_rows = lower.size;
+    take(arrays, "G", G, most_rows * nv), take(arrays, "upper", upper, most_rows), take(arrays, "soft", soft, most_rows);
+    take(arrays, "owner", owner, most_rows);
+    take(arrays, "centre", centre, nv), take(arrays, "quiet_reach", weights, nv);
+    take(arrays, "slack", slack, 1), take(arrays, "approach", approach, 1);
+    take(arrays, "knot_numbers", knot_numbers, 2), take(arrays, "knot_positions", knot_at, -1);
+    const double size = knot_numbers.data[0], span = knot_numbers.data[1];
+    take(arrays, "knot_slope", knot_slope, knot_at.size), take(arrays, "knot_curvature", knot_curvature, knot_at.size);
+    take(arrays, "knots", knots, -1);
+    take(arrays, "evading_positions", evading_positions, nv), take(arrays, "evading_slope", evading_slope, nv);
+    check_fit(size >= 1.0 && span >= 0.0 && span < size && knot_at.size % nv == 0);
+    check_fit((double)(knot_at.size / nv) * size == (double)knots.size);
+    const size_t own = (size_t)nv;
+    next.resize(own), coming.resize(own), watch.resize((size_t)P), sharp.resize((size_t)P);
+    build_survey(&survey, P, nv, clearances.data, at.data, reach.data, continuous.data, arm.data);
+    survey.range = FOLLOWED, survey.spare = set.spare;
+    start_survey(&survey);
+}
+
+void Nearby::placement(const In &x, Py_ssize_t i, Out &found) {
+    check_fit(x.size == joints && found.size == 12);
+    shapes.place(x.data);
+    const Shape &s = shapes.placed((size_t)i);
+    memcpy(found.data, s.R, sizeof s.R), memcpy(found.data + 9, s.p, sizeof s.p);
+}
+
+/* -- clearances ------------------------------------------------------------------------------------------------------ */
+
+/* The joints are at x: clearances of close pairs are those there. */
+void Nearby::follow(const double *x) {
+    if (memcmp(x, at.data, sizeof(double) * (size_t)joints) != 0) sharp_stamp++;
+    follow_close(&survey, x);
+}
+
+/* Clearance of a close pair at x, where the joints are followed to, as sharp as needed: `enough`, or by tolerance. */
+double Nearby::bounded(Py_ssize_t k, const double *x, double enough, double tolerance) {
+    double &own = clearances.data[k];
+    if (own >= enough || is_sharp(k)) return own;
+    shapes.place(x);
+    own = maximum(own, shapes.bound(k, enough + margins.data[k], tolerance) - margins.data[k]);
+    if (own < enough && tolerance <= SHARP) sharp[(size_t)k] = sharp_stamp;
+    return own;
+}
+
+/* The same by coal. */
+double Nearby::asked(Py_ssize_t k, const double *x) {
+    coal.place(x);
+    sharp[(size_t)k] = sharp_stamp;
+    return clearances.data[k] = coal.distance(k) - margins.data[k];
 }
 
 /* -- rows ------------------------------------------------------------------------------------------------------------ */
 
+double Nearby::approach_of(bool blind) const {
+    return blind ? minimum(1.0 / dt.data[0], set.approach) : 1.0 / dt.data[0];
+}
+
 /* Pairs are asked within this of their margin: nothing else can reach it at full speed. */
-static void set_watches(Nearby *s, double approach, double range) {
-    if (s->watch_of[0] == approach && s->watch_of[1] == range) return;
-    double most = 0.0;
-    s->watch_of[0] = approach, s->watch_of[1] = range;
-    for (Py_ssize_t k = 0; k < s->pairs; k++) {
-        const double way = s->at[FASTEST][k] / approach;
-        s->watch[k] = way < range ? way : range;
-        most = s->watch[k] > most ? s->watch[k] : most;
+void Nearby::set_watches(double rate, double range) {
+    if (watch_of[0] == rate && watch_of[1] == range) return;
+    double widest = 0.0;
+    watch_of[0] = rate, watch_of[1] = range;
+    for (Py_ssize_t k = 0; k < pairs; k++) {
+        watch[(size_t)k] = minimum(range, fastest.data[k] / rate);
+        widest = maximum(widest, watch[(size_t)k]);
     }
-    if (!(most > s->survey.range)) return;
-    s->survey.range = most;
-    survey_anew(&s->survey, s->at[POSITIONS]);
+    if (!(widest > survey.range)) return;
+    survey.range = widest;
+    survey_anew(&survey, positions.data);
 }
 
-/* Go on from rooms that were put anew. */
-static void notice_start(Nearby *s) {
-    if (s->epoch == s->at[EPOCH][0]) return;
-    s->epoch = s->at[EPOCH][0];
-    start_survey(&s->survey);
+/* What rows and clear begin with. */
+void Nearby::begin(bool blind) {
+    job = IDLE;
+    set_watches(approach_of(blind), blind ? WATCHED_BLIND : WATCHED);
+    survey_now(&survey, positions.data);
+    follow(positions.data);
 }
 
-/* Pairs within their watch, asked, in their order: how many; -1 and an exception if that fails, or -2 if they are too
- * many. */
-static Py_ssize_t find_near(Nearby *s) {
-    const double *rooms = s->at[ROOMS];
-    Py_ssize_t count = 0;
-    for (Py_ssize_t i = 0; i < s->survey.closes; i++) {
-        const Py_ssize_t k = s->survey.close[i];
-        if (!(rooms[k] < s->watch[k])) continue;
-        if (!ask_room(s, k)) return -1;
-        if (!(rooms[k] < s->watch[k])) continue;
-        Py_ssize_t n = count++;
-        for (; n > 0 && s->near[n - 1] > k; n--) s->near[n] = s->near[n - 1];
-        s->near[n] = k;
+/* Pairs within their watch, asked, in their order: how many; none if they are too many. */
+std::optional<size_t> Nearby::find_near() {
+    near.clear();
+    for (const Py_ssize_t k : survey.close) {
+        const double within = watch[(size_t)k];
+        if (bounded(k, positions.data, within, SHARP) < within && asked(k, positions.data) < within) near.push_back(k);
     }
-    return count > (Py_ssize_t)s->number[MOST_PAIRS] || count > s->rows ? -2 : count;
+    std::sort(near.begin(), near.end());
+    if ((double)near.size() > set.most_pairs || (Py_ssize_t)near.size() > most_rows) return {};
+    return near.size();
 }
 
-/* Whether a pair's room is its distance where the shapes are placed. */
-static int is_asked(const Nearby *s, Py_ssize_t k) {
-    return s->known[k] == s->stamp && s->at[ROOMS][k] == s->d[k] - s->at[MARGINS][k];
-}
-
-/* The close pair whose room may be used up first; -1 of none. */
-static Py_ssize_t soonest_close(const Nearby *s) {
+/* The close pair whose clearance may be used up first; -1 of none. */
+Py_ssize_t Nearby::soonest_close() const {
     double share = -1.0;
     Py_ssize_t found = -1;
-    for (Py_ssize_t i = 0; i < s->survey.closes; i++) {
-        const Py_ssize_t k = s->survey.close[i];
-        const double beside = s->at[ROOMS][k] - s->survey.spare, least = s->number[LEAST_ROOM];
-        const double room = beside > least ? beside : least;
-        if (s->at[MOST][k] > share * room) share = s->at[MOST][k] / room, found = k;
+    for (const Py_ssize_t k : survey.close) {
+        const double left = maximum(LEAST_CLEARANCE, clearances.data[k] - survey.spare);
+        if (most.data[k] > share * left) share = most.data[k] / left, found = k;
     }
     return found;
 }
 
-/* Ask for close pairs, a few in a step, until the distance of the one that may use up its room first is known. */
-static int sharpen(Nearby *s, Py_ssize_t asked) {
-    for (; asked < (Py_ssize_t)s->number[MOST_ASKED]; asked++) {
-        const Py_ssize_t k = soonest_close(s);
-        if (k < 0 || is_asked(s, k)) return 1;
-        if (!ask_room(s, k)) return 0;
+/* Sharpen bounds of close pairs, a few in a step, until that of the one that may use up its clearance first is sharp. */
+void Nearby::sharpen(int count) {
+    for (int i = 0; i < count; i++) {
+        const Py_ssize_t k = soonest_close();
+        if (k < 0 || is_sharp(k)) return;
+        bounded(k, at.data, INFINITY, SHARP);
     }
-    return 1;
 }
 
 /* Say about which positions nothing binds, as far as distances are known. */
-static void put_certificate(Nearby *s) {
-    memcpy(s->at[CENTRE], s->at[AT], sizeof(double) * (size_t)s->joints);
-    s->at[SLACK][0] = certify_all(&s->survey, s->at[WEIGHTS]) ? 1.0 : -1.0;
+void Nearby::put_certificate() {
+    memcpy(centre.data, at.data, sizeof(double) * (size_t)joints);
+    slack.data[0] = certify_all(&survey, weights.data) ? 1.0 : -1.0;
 }
 
-/* Rows of the pairs that are near, those that joints at full speed cannot break left out. */
-static int put_rows(Nearby *s, Py_ssize_t count, double approach) {
-    const Py_ssize_t nv = s->joints;
-    Py_ssize_t m = 0;
-    for (Py_ssize_t i = 0; i < count; i++) {
-        const Py_ssize_t k = s->near[i];
-        double ends[6], *G_row = s->at[G] + m * nv;
-        memcpy(ends, s->normals[k], 3 * sizeof(double));
-        if (!nearest_point(s, k, ends + 3)) return 0;
-        for (int e = 0; e < 6; e++) /* of an overlap whose depth coal did not find */
-            if (!(fabs(ends[e]) < FARTHEST)) memset(ends, 0, sizeof ends);
-        gradient(ends, s->at[JACOBIAN], s->at[KINDS] + k * nv, G_row, nv);
-        s->at[LOWER][m] = least_speed(s->at[ROOMS][k], approach);
-        if (!breakable(G_row, s->at[LOWER][m], s->at[SPEEDS], nv)) continue;
-        s->at[UPPER][m] = INFINITY, s->at[SOFT][m] = 1.0, s->at[OWNER][m] = (double)k;
-        s->which[m++] = k;
+long Nearby::rows(bool blind) {
+    const double rate = approach_of(blind);
+    which.clear();
+    begin(blind);
+    if (!find_near()) {
+        PyErr_SetString(PyExc_OverflowError, "more pairs are near than a step has rows for");
+        throw nb::python_error();
     }
-    s->binding = m;
-    return 1;
-}
-
-/* rows(blind): put the rows of this step, and where none binds, into its memory; how many. */
-static PyObject *nearby_rows(PyObject *object, PyObject *blind_given) {
-    Nearby *s = as_built(object);
-    const int blind = s ? PyObject_IsTrue(blind_given) : -1;
-    if (blind < 0) return NULL;
-    const double dt = s->at[DT][0], own = s->number[BLIND_APPROACH];
-    const double approach = blind && own < 1.0 / dt ? own : 1.0 / dt;
-    s->binding = 0;
-    notice_start(s);
-    s->job = IDLE;
-    set_watches(s, approach, s->number[blind ? BLIND_WATCH : WATCH]);
-    survey_now(&s->survey, s->at[POSITIONS]);
-    follow_close(&s->survey, s->at[POSITIONS]);
-    if (!place(s, s->at[POSITIONS])) return NULL;
-    const Py_ssize_t count = find_near(s);
-    if (count == -2) PyErr_SetString(PyExc_OverflowError, "more pairs are near than a step has rows for");
-    if (count < 0 || !sharpen(s, count) || !put_rows(s, count, approach)) return NULL;
-    put_certificate(s);
-    s->at[APPROACH][0] = blind ? own : INFINITY;
-    s->at[COUNTS][0] += 1.0, s->at[COUNTS][1] = (double)s->binding; /* what fails is counted in Python */
-    return PyLong_FromSsize_t(s->binding);
-}
-
-/* Whether a way of the joints leaves every pair outside its margin: 1 if it does, 0 if not; -1 and an exception. */
-static int way_is_clear(Nearby *s, const double *x, const double *way) {
-    const Survey *survey = &s->survey;
-    int asked = 0;
-    if (!(left_at(&s->survey, x) > most_of_two(survey, survey->weights, way))) return 0;
-    for (Py_ssize_t i = 0; i < survey->closes; i++) {
-        const Py_ssize_t k = survey->close[i];
-        const double need = taken(survey, k, way);
-        if (s->at[ROOMS][k] > need) continue;
-        if (is_asked(s, k)) return 0;
-        asked++;
-        if (!place(s, x) || !ask_room(s, k)) return -1;
-        if (!(s->at[ROOMS][k] > need)) return 0;
+    sharpen(MOST_SHARPENED);
+    for (const Py_ssize_t k : near) { /* those that joints at full speed cannot break are left out */
+        const size_t m = which.size();
+        double ends[6], *row = G.data + (Py_ssize_t)m * joints;
+        coal.ends(k, ends);
+        gradient(ends, jacobian.data, kinds.data + k * joints, row, joints);
+        lower.data[m] = least_speed(clearances.data[k], rate);
+        if (!breakable(row, lower.data[m], speeds.data, joints)) continue;
+        upper.data[m] = INFINITY, soft.data[m] = 1.0, owner.data[m] = (double)k;
+        which.push_back(k);
     }
-    for (; asked < ASKED_TO_LAST; asked++) { /* the next certificate lasts the longer */
-        const Py_ssize_t k = soonest_close(s);
-        if (k < 0 || is_asked(s, k)) break;
-        if (!place(s, x) || !ask_room(s, k)) return -1;
-    }
-    return 1;
+    put_certificate();
+    approach.data[0] = blind ? set.approach : INFINITY;
+    counts.data[0] += 1.0, counts.data[1] = (double)which.size(); /* what fails is counted in Python */
+    return (long)which.size();
 }
 
-/* clear(blind): whether no row can bind the command in memory, without asking for all that is near. */
-static PyObject *nearby_clear(PyObject *object, PyObject *blind_given) {
-    Nearby *s = as_built(object);
-    const int blind = s ? PyObject_IsTrue(blind_given) : -1;
-    if (blind < 0) return NULL;
-    const double dt = s->at[DT][0], own = s->number[BLIND_APPROACH], *x = s->at[POSITIONS];
-    const double approach = blind && own < 1.0 / dt ? own : 1.0 / dt;
-    notice_start(s);
-    set_watches(s, approach, s->number[blind ? BLIND_WATCH : WATCH]);
-    survey_now(&s->survey, x);
-    follow_close(&s->survey, x);
-    for (Py_ssize_t j = 0; j < s->joints; j++) s->next[j] = fabs(s->at[COMMAND][j]) / approach;
-    s->job = IDLE;
-    const int clear = way_is_clear(s, x, s->next);
-    if (clear < 0) return NULL;
-    if (clear) {
-        s->binding = 0;
-        put_certificate(s);
-        s->at[APPROACH][0] = blind ? own : INFINITY;
-        s->at[COUNTS][0] += 1.0, s->at[COUNTS][1] = 0.0;
+/* Whether a way of the joints leaves every pair outside its margin. */
+bool Nearby::way_is_clear(const double *x, const double *way) {
+    if (!(left_at(&survey, x) > most_of_two(&survey, survey.weights.data(), way))) return false;
+    for (const Py_ssize_t k : survey.close) {
+        const double need = taken(&survey, k, way);
+        if (clearances.data[k] > need) continue;
+        if (!(bounded(k, x, 2.0 * need, ROUGH) > need) && !(bounded(k, x, 2.0 * need, SHARP) > need)) return false;
     }
-    return PyBool_FromLong(clear);
+    return true;
 }
 
-/* tightened(): raise lower bounds where the command leads closer than rows say; whether it does. */
-static PyObject *nearby_tightened(PyObject *object, PyObject *unused) {
-    Nearby *s = as_built(object);
-    int any = 0, placed = 0;
-    (void)unused;
-    if (!s) return NULL;
-    const double dt = s->at[DT][0], *v = s->at[COMMAND];
-    for (Py_ssize_t i = 0; i < s->binding; i++) {
-        const Py_ssize_t k = s->which[i];
-        const double room = s->at[ROOMS][k], least = room < 0.0 ? room : 0.0, *G_row = s->at[G] + i * s->joints;
+bool Nearby::clear(bool blind) {
+    const double rate = approach_of(blind);
+    begin(blind);
+    for (Py_ssize_t j = 0; j < joints; j++) next[(size_t)j] = fabs(command.data[j]) / rate;
+    if (!way_is_clear(positions.data, next.data())) return false;
+    sharpen(MOST_SHARPENED); /* the next certificate lasts the longer */
+    which.clear();
+    put_certificate();
+    approach.data[0] = blind ? set.approach : INFINITY;
+    counts.data[0] += 1.0, counts.data[1] = 0.0;
+    return true;
+}
+
+bool Nearby::tightened() {
+    const double length = dt.data[0];
+    bool any = false;
+    for (size_t i = 0; i < which.size(); i++) {
+        const Py_ssize_t k = which[i];
+        const double clearance = clearances.data[k], least = minimum(0.0, clearance);
+        const double *row = G.data + (Py_ssize_t)i * joints;
         double speed = 0.0;
-        for (Py_ssize_t j = 0; j < s->joints; j++) speed += G_row[j] * v[j];
-        if (!(room + dt * speed < least + s->number[SAMPLE])) continue;
-        if (!placed) {
-            for (Py_ssize_t j = 0; j < s->joints; j++) s->next[j] = s->at[POSITIONS][j] + dt * v[j];
-            if (!place(s, s->next)) return NULL;
-            placed = 1;
-        }
-        const double missing = least - (distance(s, k) - s->at[MARGINS][k]);
-        if (PyErr_Occurred()) return NULL;
-        if (!(missing > 0.1 * s->number[STANDS])) continue;
-        s->at[LOWER][i] = (s->at[LOWER][i] > speed ? s->at[LOWER][i] : speed) + missing / dt;
-        any = 1;
+        for (Py_ssize_t j = 0; j < joints; j++) speed += row[j] * command.data[j];
+        if (!(clearance + length * speed < least + BEND_SAMPLE)) continue;
+        for (Py_ssize_t j = 0; j < joints; j++) next[(size_t)j] = positions.data[j] + length * command.data[j];
+        coal.place(next.data());
+        const double missing = least - (coal.distance(k) - margins.data[k]);
+        if (!(missing > 0.1 * STANDING)) continue;
+        lower.data[i] = maximum(lower.data[i], speed) + missing / length;
+        any = true;
     }
-    return PyBool_FromLong(any);
+    return any;
 }
 
 /* -- ahead ----------------------------------------------------------------------------------------------------------- */
 
 /* The share of the certificate in memory that is used at positions x. */
-static double used_at(const Nearby *s, const double *x) {
-    for (Py_ssize_t j = 0; j < s->joints; j++) s->survey.way[j] = fabs(x[j] - s->at[CENTRE][j]);
-    return most_of_two(&s->survey, s->at[WEIGHTS], s->survey.way);
+double Nearby::used_at(const double *x) {
+    for (Py_ssize_t j = 0; j < joints; j++) survey.way[(size_t)j] = fabs(x[j] - centre.data[j]);
+    return most_of_two(&survey, weights.data, survey.way.data());
 }
 
-/* Ask for some pairs for the next certificate: 1 if there are more to ask for, else 0; -1 and an exception. */
-static int ask_for_certificate(Nearby *s) {
-    for (int i = 0; i < ASKED_EARLY; i++, s->asked++) {
-        const Py_ssize_t k = soonest_close(s);
-        if (s->asked >= (Py_ssize_t)s->number[MOST_ASKED] || k < 0 || is_asked(s, k)) return 0;
-        if (!ask_room(s, k)) return -1;
+/* Look at some pairs for the next certificate; whether there are more. */
+bool Nearby::look_for_certificate() {
+    const Py_ssize_t before = soonest_close();
+    sharpen(SHARPENED_EARLY);
+    looked += SHARPENED_EARLY;
+    return before >= 0 && !is_sharp(soonest_close()) && looked < 4 * SHARPENED_EARLY;
+}
+
+/* Look at some pairs that the motion to the next knot may lead inside their margin, likewise. */
+bool Nearby::look_for_knot() {
+    int count = 0;
+    for (size_t j = 0; j < coming.size(); j++) survey.way[j] = WIDER * fabs(coming[j]);
+    for (const Py_ssize_t k : survey.close) {
+        const double enough = maximum(set.evades, taken(&survey, k, survey.way.data()));
+        if (is_sharp(k) || !(clearances.data[k] < enough)) continue;
+        if (count++ == 2 * SHARPENED_EARLY) return true;
+        bounded(k, at.data, enough, SHARP);
     }
-    return 1;
+    return false;
 }
 
-/* Ask for some pairs that the motion to the next knot may lead inside their margin, likewise. */
-static int ask_for_knot(Nearby *s) {
-    const Survey *survey = &s->survey;
-    int asked = 0;
-    for (Py_ssize_t j = 0; j < s->joints; j++) survey->way[j] = WIDER * fabs(s->coming[j]);
-    for (Py_ssize_t i = 0; i < survey->closes; i++) {
-        const Py_ssize_t k = survey->close[i];
-        const double least = taken(survey, k, survey->way);
-        if (is_asked(s, k) || !(s->at[ROOMS][k] < (least > s->number[EVADES] ? least : s->number[EVADES]))) continue;
-        if (asked++ == (s->pairs > PIECE * PIECES ? ASKED_FOR_KNOT : ASKED_EARLY)) return 1;
-        if (!ask_room(s, k)) return -1;
+void Nearby::prepare() {
+    start_survey(&survey);
+    sharp_stamp++;
+    job = set.evades >= 0.0 ? DONE : IDLE; /* ahead there is something to do after the next knot */
+    coal.lose();
+    if (dt.data[0] > 0.0) set_watches(1.0 / dt.data[0], WATCHED);
+    survey_anew(&survey, at.data);
+    sharpen(SHARPENED_AT_START);
+}
+
+/* First what is far; then pairs, where a step's certificate is used up soon, or where the next knot will be. */
+bool Nearby::surveys() {
+    const bool ahead = set.evades >= 0.0;
+    double *x = next.data();
+    for (Py_ssize_t j = 0; j < joints; j++)
+        x[j] = !ahead ? positions.data[j] : at.data[j] + (job == IDLE ? coming[(size_t)j] : 0.0);
+    const bool soon = !ahead && slack.data[0] > 0.0 && (job == ASKING || used_at(x) > USED);
+    const bool surveyed = !(soon && left_at(&survey, x) > NEEDED) && survey_piece(&survey, x);
+    const bool large = pairs > PIECE * PIECES; /* a knot does not wait for one after the other */
+    if (surveyed && (!ahead || job == DONE || !large)) return true;
+    if (job == IDLE) {
+        if (!ahead && (slack.data[0] <= 0.0 || used_at(x) < USED)) return false;
+        follow(x);
+        job = ASKING, looked = 0;
+        return true;
     }
-    return 0;
+    if (job == DONE) return false;
+    if (ahead ? look_for_knot() : look_for_certificate()) return true;
+    job = ahead ? DONE : IDLE;
+    if (!ahead) put_certificate();
+    return true;
 }
 
-/* prepare(): look at all pairs where the joints start, before the first step. */
-static PyObject *nearby_prepare(PyObject *object, PyObject *unused) {
-    Nearby *s = as_built(object);
-    (void)unused;
-    if (!s) return NULL;
-    notice_start(s);
-    s->job = s->number[EVADES] >= 0.0 ? DONE : IDLE, s->lost = 1; /* ahead there is something to do after the next knot */
-    if (s->at[DT][0] > 0.0) set_watches(s, 1.0 / s->at[DT][0], s->number[WATCH]);
-    survey_anew(&s->survey, s->at[AT]);
-    if (!place(s, s->at[AT])) return NULL;
-    Py_RETURN_NONE;
-}
-
-/* surveys(): a piece of work ahead of need, if there is any; whether there was. First what is far; then distances, where
- * a step's certificate is used up soon, or where the next knot will be. */
-static PyObject *nearby_surveys(PyObject *object, PyObject *unused) {
-    Nearby *s = as_built(object);
-    (void)unused;
-    if (!s) return NULL;
-    if (s->epoch != s->at[EPOCH][0]) Py_RETURN_FALSE;
-    const int ahead = s->number[EVADES] >= 0.0;
-    double *x = s->next;
-    for (Py_ssize_t j = 0; j < s->joints; j++) x[j] = ahead ? s->at[AT][j] + s->coming[j] : s->at[POSITIONS][j];
-    const int soon = !ahead && s->at[SLACK][0] > 0.0 && (s->job == ASKING || used_at(s, x) > USED);
-    const int surveyed = !(soon && left_at(&s->survey, x) > NEEDED) && survey_piece(&s->survey, x);
-    const int large = s->pairs > PIECE * PIECES; /* a knot does not wait for one after the other */
-    if (surveyed && (!ahead || s->job == DONE || !large)) Py_RETURN_TRUE;
-    if (s->job == IDLE) {
-        if (!ahead && (s->at[SLACK][0] <= 0.0 || used_at(s, x) < USED)) Py_RETURN_FALSE;
-        follow_close(&s->survey, x);
-        s->job = ASKING, s->asked = 0;
-        if (!place(s, x)) return NULL;
-        Py_RETURN_TRUE;
-    }
-    if (s->job == DONE) Py_RETURN_FALSE;
-    const int more = ahead ? ask_for_knot(s) : ask_for_certificate(s);
-    if (more < 0) return NULL;
-    if (more) Py_RETURN_TRUE;
-    s->job = ahead ? DONE : IDLE;
-    if (!ahead) put_certificate(s);
-    Py_RETURN_TRUE;
-}
-
-/* Ask for the close pairs that a way of the joints may lead inside their margin, or that are within `spare`: a list of
- * those that it may lead there; NULL and an exception if that fails. */
-static PyObject *ask_on_way(Nearby *s, const double *x, const double *way) {
-    const Survey *survey = &s->survey;
-    PyObject *found = PyList_New(0);
-    for (Py_ssize_t i = 0; found && i < survey->closes; i++) {
-        const Py_ssize_t k = survey->close[i];
-        const double least = taken(survey, k, way), near = least > s->number[EVADES] ? least : s->number[EVADES];
-        if (!(s->at[ROOMS][k] < near)) continue;
-        int good = place(s, x) && ask_room(s, k);
-        if (good && s->at[ROOMS][k] < least) {
-            PyObject *number = PyLong_FromSsize_t(k);
-            good = number && PyList_Append(found, number) == 0;
-            Py_XDECREF(number);
+std::optional<std::vector<Py_ssize_t>> Nearby::doubtful(Py_ssize_t place) {
+    const Py_ssize_t nv = joints, size = (Py_ssize_t)knot_numbers.data[0];
+    if (place < 0 || place >= knot_at.size / nv) throw nb::index_error("there is no such knot");
+    const double *x = knot_at.data + place * nv, *slope = knot_slope.data + place * nv;
+    const double *curvature = knot_curvature.data + place * nv;
+    const double span = knots.data[place * size + (Py_ssize_t)knot_numbers.data[1]];
+    double *way = next.data();
+    for (Py_ssize_t j = 0; j < nv; j++) way[j] = BENT_WAY * fabs((0.5 * span * curvature[j] - slope[j]) * span);
+    survey_now(&survey, x);
+    follow(x);
+    if (left_at(&survey, x) < most_of_two(&survey, survey.weights.data(), way)) survey_anew(&survey, x);
+    std::optional<std::vector<Py_ssize_t>> found;
+    if (most_of_two(&survey, survey.weights.data(), way) <= left_at(&survey, x)) {
+        found.emplace();
+        for (const Py_ssize_t k : survey.close) {
+            const double least = taken(&survey, k, way);
+            if (bounded(k, x, maximum(set.evades, least), SHARP) < least) found->push_back(k);
         }
-        if (!good) Py_CLEAR(found);
     }
+    put_certificate();
+    for (Py_ssize_t j = 0; j < nv; j++) coming[(size_t)j] = slope[j] * span;
+    job = IDLE;
     return found;
 }
 
-/* doubtful(place): pairs that may be inside their margin between the knot before and the one at a place; None if that is
- * not known. */
-static PyObject *nearby_doubtful(PyObject *object, PyObject *place_given) {
-    Nearby *s = as_built(object);
-    const Py_ssize_t at = s ? PyLong_AsSsize_t(place_given) : -1, nv = s ? s->joints : 0;
-    if (!s || (at == -1 && PyErr_Occurred())) return NULL;
-    const Py_ssize_t size = (Py_ssize_t)s->number[KNOT_SIZE];
-    if (at < 0 || at >= s->views[KNOT_AT].len / (8 * nv) || at >= s->views[KNOTS].len / (8 * size)) {
-        PyErr_SetString(PyExc_IndexError, "there is no such knot");
-        return NULL;
-    }
-    const double *x = s->at[KNOT_AT] + at * nv, *slope = s->at[KNOT_SLOPE] + at * nv;
-    const double *curvature = s->at[KNOT_CURVATURE] + at * nv;
-    const double span = s->at[KNOTS][at * size + (Py_ssize_t)s->number[KNOT_SPAN]];
-    double *way = s->next;
-    notice_start(s);
-    for (Py_ssize_t j = 0; j < nv; j++) way[j] = s->number[BENT] * fabs((0.5 * span * curvature[j] - slope[j]) * span);
-    survey_now(&s->survey, x);
-    follow_close(&s->survey, x);
-    const double needs = most_of_two(&s->survey, s->survey.weights, way);
-    if (left_at(&s->survey, x) < needs) survey_anew(&s->survey, x); /* the way uses up what is left */
-    const int known = most_of_two(&s->survey, s->survey.weights, way) <= left_at(&s->survey, x);
-    PyObject *doubtful = known ? ask_on_way(s, x, way) : (Py_INCREF(Py_None), Py_None);
-    if (!doubtful) return NULL;
-    put_certificate(s);
-    for (Py_ssize_t j = 0; j < nv; j++) s->coming[j] = slope[j] * span;
-    s->job = IDLE;
-    return doubtful;
-}
-
-/* -- building -------------------------------------------------------------------------------------------------------- */
-
-/* Hold the arrays; 0 and an exception if one is something else. */
-static int hold_arrays(Nearby *s, PyObject *arrays) {
-    Py_ssize_t n[ARRAYS];
-    if (PyTuple_Size(arrays) != ARRAYS) return 0;
-    for (int i = 0; i < ARRAYS; i++) {
-        Py_buffer *view = s->views + i;
-        if (PyObject_GetBuffer(PyTuple_GetItem(arrays, i), view, PyBUF_FORMAT | PyBUF_C_CONTIGUOUS) < 0) return 0;
-        if (view->itemsize != 8 || !view->format || view->format[0] != 'd' || view->format[1]) return 0;
-        s->at[i] = static_cast<double *>(view->buf), n[i] = view->len / 8;
-    }
-    const Py_ssize_t pairs = s->pairs = n[ROOMS], nv = s->joints = n[AT], m = s->rows = n[LOWER];
-    const int of_pairs[] = {MARGINS, MOST, FASTEST}, of_rows[] = {UPPER, SOFT, OWNER}, of_one[] = {DT, SLACK, APPROACH};
-    const int of_knots[] = {KNOT_AT, KNOT_SLOPE, KNOT_CURVATURE};
-    const int of_joints[] = {CONTINUOUS, ARM, SPEEDS, Q_INDEX, POSITIONS, COMMAND, CENTRE, WEIGHTS};
-    const int written[] = {ROOMS, AT, Q, COUNTS, G, LOWER, UPPER, SOFT, OWNER, CENTRE, WEIGHTS, SLACK, APPROACH};
-    const double places = nv > 0 ? (double)(n[KNOT_AT] / nv) : 0.0, size = s->number[KNOT_SIZE];
-    int good = nv > 0 && places * size == (double)n[KNOTS] && s->number[KNOT_SPAN] >= 0.0 && s->number[KNOT_SPAN] < size;
-    for (int i = 0; i < 3; i++) good = good && (double)n[of_knots[i]] == places * (double)nv;
-    good = good && n[REACH] == nv * pairs && n[KINDS] == nv * pairs && n[JACOBIAN] == 6 * nv && n[G] == m * nv &&
-               n[COUNTS] == 2 && n[EPOCH] == 1;
-    for (int i = 0; i < 3; i++) good = good && n[of_pairs[i]] == pairs && n[of_rows[i]] == m && n[of_one[i]] == 1;
-    for (int i = 0; i < 8; i++) good = good && n[of_joints[i]] == nv;
-    for (size_t i = 0; i < sizeof written / sizeof *written; i++) good = good && !s->views[written[i]].readonly;
-    for (Py_ssize_t j = 0; good && j < nv; j++) {
-        const double at = s->at[Q_INDEX][j];
-        good = at >= 0.0 && at + (s->at[CONTINUOUS][j] != 0.0 ? 2.0 : 1.0) <= (double)n[Q];
-    }
-    return good;
-}
-
-/* Hold functions and arguments, and find coal's normals. */
-static int hold_functions(Nearby *s, PyObject *placing, PyObject *normals) {
-    if (PyTuple_Size(placing) != PLACING || PyList_Size(s->questions) != s->pairs || PyList_Size(s->answers) != s->pairs ||
-        PyList_Size(s->points) != s->pairs || PyList_Size(normals) != s->pairs)
-        return 0;
-    for (int i = 0; i < PLACING; i++)
-        if (!PyArg_ParseTuple(PyTuple_GetItem(placing, i), "OO!", s->place + i, &PyTuple_Type, s->placed + i)) {
-            s->place[i] = s->placed[i] = NULL;
-            return 0;
-        } else {
-            Py_INCREF(s->place[i]), Py_INCREF(s->placed[i]);
+bool Nearby::evade() {
+    const double *x = evading_positions.data, comfort = set.evades - EVADES_EARLY;
+    std::vector<double> row((size_t)joints);
+    bool any = false;
+    survey_now(&survey, x);
+    follow(x);
+    evasion.begin();
+    for (const Py_ssize_t k : survey.close) {
+        double ends[6], speed = 0.0;
+        if (!(bounded(k, x, set.evades, SHARP) < set.evades)) continue;
+        double clearance = shapes.gap(k, ends) - margins.data[k];
+        if (isnan(ends[3])) clearance = asked(k, x), coal.ends(k, ends);
+        if (!(clearance < set.evades)) continue;
+        double turn[3];
+        cross(ends + 3, ends, turn);
+        for (size_t j = 0; j < row.size(); j++) {
+            const double kind = kinds.data[k * joints + (Py_ssize_t)j], *own = kind != 0.0 ? shapes.twist(j) : nullptr;
+            row[j] = own ? kind * (dot3(ends, own) + dot3(turn, own + 3)) : 0.0;
+            speed += row[j] * evading_slope.data[j];
         }
-    for (Py_ssize_t k = 0; k < s->pairs; k++) {
-        Py_buffer view;
-        if (PyObject_GetBuffer(PyList_GetItem(normals, k), &view, PyBUF_C_CONTIGUOUS) < 0) return 0;
-        s->normals[k] = static_cast<const double *>(view.buf); /* stays there as long as its owner */
-        const int three = view.len == 3 * sizeof(double);
-        PyBuffer_Release(&view);
-        if (!three) return 0;
+        const double spare = clearance - comfort, near_by = 1.0 - maximum(0.0, spare) / EVADES_EARLY;
+        const double lacks = -set.approach * spare / maximum(SMALL_CLEARANCE, near_by) - speed;
+        const double first = clamp(lacks, 0.0, GENTLE);
+        evasion.add(row, lacks - first + first * first / (2.0 * GENTLE));
+        any = any || lacks > 0.0;
     }
-    return 1;
-}
-
-static int nearby_init(PyObject *object, PyObject *args, PyObject *kwargs) {
-    Nearby *s = (Nearby *)object;
-    PyObject *arrays, *numbers, *placing, *normals;
-    (void)kwargs;
-    if (s->owner) {
-        PyErr_SetString(PyExc_ValueError, "a Nearby is built once");
-        return -1;
-    }
-    if (!PyArg_ParseTuple(args, "O!O!OO!OO!O!O!O!", &PyTuple_Type, &arrays, &PyTuple_Type, &numbers, &s->owner,
-                          &PyTuple_Type, &placing, &s->ask, &PyList_Type, &s->questions, &PyList_Type, &s->answers,
-                          &PyList_Type, &s->points, &PyList_Type, &normals)) {
-        s->owner = s->ask = s->questions = s->answers = s->points = NULL;
-        return -1;
-    }
-    PyObject *given[] = {s->owner, s->ask, s->questions, s->answers, s->points};
-    for (size_t i = 0; i < sizeof given / sizeof *given; i++) Py_INCREF(given[i]);
-    s->lost = 1;
-    int good = PyTuple_Size(numbers) == NUMBERS;
-    for (int i = 0; good && i < NUMBERS; i++) s->number[i] = PyFloat_AsDouble(PyTuple_GetItem(numbers, i));
-    good = good && !PyErr_Occurred() && hold_arrays(s, arrays);
-    if (good) {
-        const Py_ssize_t pairs = s->pairs, nv = s->joints;
-        const int held = allocate(s->normals, pairs) && allocate(s->known, pairs) && allocate(s->d, pairs) &&
-                         allocate(s->watch, pairs) && allocate(s->x, nv) && allocate(s->next, nv) &&
-                         allocate(s->coming, nv) && allocate(s->near, pairs) && allocate(s->which, s->rows);
-        const int surveyed = build_survey(&s->survey, pairs, nv, s->at[ROOMS], s->at[AT], s->at[REACH], s->at[CONTINUOUS],
-                                          s->at[ARM]);
-        s->survey.range = s->number[RANGE], s->survey.spare = s->number[SPARE];
-        s->epoch = NAN;
-        if (!surveyed || !held) {
-            PyErr_NoMemory();
-            return -1;
-        }
-        good = hold_functions(s, placing, normals);
-    }
-    s->built = good;
-    if (good) return 0;
-    if (!PyErr_Occurred()) PyErr_SetString(PyExc_ValueError, "what it is given does not fit together");
-    return -1;
-}
-
-static void nearby_dealloc(PyObject *object) {
-    Nearby *s = (Nearby *)object;
-    PyTypeObject *type = Py_TYPE(object);
-    for (int i = 0; i < ARRAYS; i++)
-        if (s->views[i].obj) PyBuffer_Release(s->views + i);
-    for (int i = 0; i < PLACING; i++) Py_XDECREF(s->place[i]), Py_XDECREF(s->placed[i]);
-    void *own[] = {(void *)s->normals, s->known, s->d, s->watch, s->x, s->next, s->near, s->which};
-    for (size_t i = 0; i < sizeof own / sizeof *own; i++) free(own[i]);
-    free_survey(&s->survey);
-    free(s->coming);
-    Py_XDECREF(s->ask), Py_XDECREF(s->questions), Py_XDECREF(s->answers), Py_XDECREF(s->points);
-    Py_XDECREF(s->owner);
-    freefunc release = POINTER(freefunc, PyType_GetSlot(type, Py_tp_free));
-    release(object);
-    Py_DECREF(type);
-}
-
-static PyMethodDef methods[] = {
-    {"rows", nearby_rows, METH_O, "rows(blind): put the rows of this step into its memory; how many."},
-    {"clear", nearby_clear, METH_O, "clear(blind): whether no row can bind the command in memory."},
-    {"tightened", nearby_tightened, METH_NOARGS, "tightened(): raise bounds that the command breaks; whether it does."},
-    {"doubtful", nearby_doubtful, METH_O, "doubtful(place): pairs that may be inside their margin on the way to a knot."},
-    {"prepare", nearby_prepare, METH_NOARGS, "prepare(): look at all pairs where the joints start."},
-    {"surveys", nearby_surveys, METH_NOARGS, "surveys(): a piece of work on what is far; whether there was any."},
-    {NULL, NULL, 0, NULL},
-};
-
-static PyType_Slot slots[] = {
-    {Py_tp_doc, const_cast<char *>("Rows of a compiled step beside bodies that stand, over its memory.")},
-    {Py_tp_init, POINTER(void *, nearby_init)},
-    {Py_tp_dealloc, POINTER(void *, nearby_dealloc)},
-    {Py_tp_methods, methods},
-    {Py_tp_new, POINTER(void *, PyType_GenericNew)},
-    {0, NULL},
-};
-
-static PyType_Spec spec = {"coopqp.native._core.Nearby", sizeof(Nearby), 0, Py_TPFLAGS_DEFAULT, slots};
-
-int add_nearby(PyObject *module) {
-    PyObject *type = PyType_FromSpec(&spec);
-    if (type && PyModule_AddObject(module, "Nearby", type) == 0) return 0;
-    Py_XDECREF(type);
-    return -1;
+    if (any) evasion.move(shapes, arm, speeds, evading_slope.data);
+    return true;
 }

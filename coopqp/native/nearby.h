@@ -1,11 +1,160 @@
-/* The rows of a compiled step beside obstacles; see nearby.cpp. */
+/* The rows of a compiled step beside bodies that stand, and what stops the object ahead: the definition is
+ * coopqp/collision/clearance.py. Lower bounds of distances follow the joints, or come from convex.h; coal is asked where
+ * they are not enough, Pinocchio for placements then: a step that is not near asks neither. */
 
 #ifndef COOPQP_NEARBY_H
 #define COOPQP_NEARBY_H
 
-#include <Python.h>
+#include <optional>
+#include <string>
+#include <vector>
 
-/* Add the type Nearby to the module; -1 and an exception if that fails. */
-int add_nearby(PyObject *module);
+#include "arrays.h"
+#include "convex.h"
+#include "survey.h"
+
+/* Distances by coal, one pair at a time, where Pinocchio has placed the shapes. */
+class Coal {
+public:
+    Coal(nb::object owner, nb::list placing, nb::callable ask, nb::list questions, nb::list answers, nb::list points,
+         const nb::list &normals, Out q, In q_index, In continuous);
+    size_t pairs() const { return normals.size(); }
+    /* Put the shapes where they are at positions x. */
+    void place(const double *x);
+    bool knows(Py_ssize_t k) const { return known[(size_t)k] == stamp; }
+    /* Distance of a pair where the shapes are placed, asked once. */
+    double distance(Py_ssize_t k);
+    /* Unit normal and a nearest point of the second body of a pair that was asked; zeros without a depth. */
+    void ends(Py_ssize_t k, double *found) const;
+    void lose() { lost = true; }
+
+private:
+    nb::object owner; /* owns the memory that coal writes */
+    nb::list placing, questions, answers, points;
+    nb::callable ask;
+    Out q;
+    In q_index, continuous;
+    std::vector<const double *> normals; /* of each pair, in coal's memory */
+    std::vector<double> d, at;
+    std::vector<uint64_t> known; /* distances with the present stamp are of this placement */
+    uint64_t stamp = 1;
+    bool lost = true; /* the placement of the shapes is unknown */
+};
+
+/* The shapes, placed by kinematics of their own as far as pairs ask for it, and lower bounds of distances. */
+class Shapes {
+public:
+    /* Of each joint: its axis and moment in the world at zero positions (6), and the joint that carries it or -1. Shapes:
+     * kind, joint or -1, half sizes (3), radius, placement in the world at zero positions (R 9, p 3); corners of hulls. */
+    Shapes(const In &axes, const In &carriers, const In &shapes, const std::vector<In> &corners, const In &pairs);
+    size_t joints() const { return joint.size(); }
+    size_t pairs() const { return first.size(); }
+    void place(const double *x);
+    /* A lower bound of the distance of a pair where the shapes are placed: `enough`, or as good as `tolerance`. */
+    double bound(Py_ssize_t k, double enough, double tolerance);
+    /* The same as good as the distance, with the unit normal from the first shape to the second and a nearest point of the
+     * second; they are NaN where the cores touch. */
+    double gap(Py_ssize_t k, double *ends);
+    /* Placement of a shape (R 9, p 3). */
+    const Shape &placed(size_t i);
+    /* Velocity at the world's origin and angular velocity of what a joint carries, per unit of its speed (6). */
+    const double *twist(size_t j) { return placed_joint((int)j).twist; }
+
+private:
+    struct Joint {
+        double axis[3], moment[3], R[9], p[3], twist[6];
+        int carrier;
+        uint64_t stamp = 0;
+    };
+    const Joint &placed_joint(int j);
+    std::vector<Joint> joint;
+    std::vector<Shape> shape;
+    std::vector<uint64_t> stamps; /* of the shapes */
+    std::vector<int> first, second;
+    std::vector<double> ways, x; /* of each pair a unit vector, where the next search begins; positions of the joints */
+    uint64_t stamp = 1;
+};
+
+/* Of the scene: approach [1/s], clearance that a certificate spares, clearance where evasion begins, or negative for rows
+ * of a step [m], rows at most. */
+struct Settings {
+    double approach, spare, evades, most_pairs;
+};
+
+/* The least self-motion of redundant arms that keeps rows: Evasion in coopqp/collision/evasion.py. */
+class Evasion {
+public:
+    void begin() { rows.clear(), missing.clear(); }
+    /* A row G of distances (joints) that lacks so much speed. */
+    void add(const std::vector<double> &G, double lacks);
+    /* Add self-motion of the arms (a number of each joint) to slopes, the shapes placed where they are. */
+    void move(Shapes &shapes, const In &arm, const In &speeds, double *slope);
+
+private:
+    void find_basis(Shapes &shapes, const In &arm, const In &speeds);
+    std::vector<double> rows, missing, basis; /* basis: joints of each motion */
+    std::vector<double> A, low, high, lb, ub, x, y, work;
+};
+
+class Nearby {
+public:
+    Nearby(const nb::dict &arrays, const Settings &settings, Coal &&coal, Shapes &&shapes);
+    /* Put the rows of this step, and where none binds, into its memory; how many. */
+    long rows(bool blind);
+    /* Whether no row can bind the command in memory, without asking for all that is near. */
+    bool clear(bool blind);
+    /* Raise lower bounds where the command leads closer than rows say; whether it does. */
+    bool tightened();
+    /* Pairs that may be inside their margin between the knot before and the one at a place; none if that is not known. */
+    std::optional<std::vector<Py_ssize_t>> doubtful(Py_ssize_t place);
+    /* Look at all pairs where the joints start, before the first step. */
+    void prepare();
+    /* A piece of work ahead of need, if there is any; whether there was. */
+    bool surveys();
+    /* Self-motion of redundant arms where a knot is tried: changes the slope in memory. */
+    bool evade();
+    /* The placement of a shape at positions x, by these kinematics. */
+    void placement(const In &x, Py_ssize_t shape, Out &found);
+
+private:
+    enum Job { IDLE, ASKING, DONE }; /* work that is spread: none, pairs are looked at, all is done */
+
+    double bounded(Py_ssize_t k, const double *x, double enough, double tolerance);
+    double asked(Py_ssize_t k, const double *x);
+    bool is_sharp(Py_ssize_t k) const { return sharp[(size_t)k] == sharp_stamp; }
+    void follow(const double *x);
+    double approach_of(bool blind) const;
+    void begin(bool blind);
+    void set_watches(double approach, double range);
+    std::optional<size_t> find_near();
+    Py_ssize_t soonest_close() const;
+    void sharpen(int most);
+    void put_certificate();
+    bool way_is_clear(const double *x, const double *way);
+    double used_at(const double *x);
+    bool look_for_certificate();
+    bool look_for_knot();
+
+    Settings set;
+    Coal coal;
+    Shapes shapes;
+    Py_ssize_t pairs, joints, most_rows;
+    Out clearances, at, counts;
+    In reach, margins, most, fastest, kinds, continuous, arm, speeds, jacobian; /* of the scene */
+    In positions, command, dt;                                                  /* of the step */
+    Out G, lower, upper, soft, owner, centre, weights, slack, approach;
+    In evading_positions;
+    Out evading_slope;
+    Evasion evasion;
+    In knots, knot_at, knot_slope, knot_curvature, knot_numbers; /* ahead */
+    Survey survey;
+    std::vector<double> watch, next, coming; /* coming: motion of the joints to the next knot, as the last one had it */
+    std::vector<uint64_t> sharp;             /* clearances with the present stamp are as good as distances */
+    uint64_t sharp_stamp = 1;
+    std::vector<Py_ssize_t> near, which; /* near pairs, pairs of the rows */
+    double watch_of[2] = {};             /* approach and range of the watches */
+    Job job = IDLE;
+    int looked = 0; /* of this job */
+};
 
 #endif

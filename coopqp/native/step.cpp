@@ -3,7 +3,7 @@
 #include "functions.h"
 #include "minding.h"
 
-static void refuse(Core *c, int reason, int index, double a) {
+static void refuse(Core *c, Reason reason, int index, double a) {
     Proposal *p = c->proposal;
     p->watch_cap = 0.0, p->hold = 1.0;
     p->reason = reason, p->reason_arm = index, p->reason_a = a, p->reason_b = 0.0;
@@ -65,7 +65,7 @@ static int let_in(Core *c, const double *positions, const double *q) {
     Proposal *p = c->proposal;
     double commanded[6];
     const double h = p->dt;
-    const double corrects = c->minding ? c->minding[CORRECTS] : 1.0; /* arms that mind forces relax first */
+    const double corrects = c->minding ? c->minding->corrects : 1.0; /* arms that mind forces relax first */
     if (!positions && !((c->loop->drifted != 0.0 || corrects < 1.0) && p->hold == 0.0)) {
         memset(c->measured, 0, 6 * sizeof(double));
         return p->hold != 0.0;
@@ -91,16 +91,17 @@ static int let_in(Core *c, const double *positions, const double *q) {
 /* An object that touches something goes back, unless something else holds it. Returns whether it does. */
 static int goes_back(Core *c) {
     const Proposal *p = c->proposal;
-    double *m = c->minding, common[6], way[3];
-    if (!m || m[BACKS] == 0.0 || m[SENSOR_FAULT] != SENSORS_FINE) return 0;
+    Minding *m = c->minding;
+    double common[6], way[3];
+    if (!m || m->backs == 0.0 || m->sensor_fault != SENSORS_FINE) return 0;
     const double gain = fmin(c->options->path_gain, 1.0 / p->dt);
     if ((p->hold != 0.0 && p->reason != TOUCHING) || !(gain > 0.0) || p->has_errors == 0.0) return 0;
     rotate_back(c->R, minding_of(c->arms, m).push + 9, way);
     common_error(c, c->errors, common);
     const double far = dot3(way, common);
-    if (isnan(m[BACK_FROM])) m[BACK_FROM] = far;
-    const double room = CONTACT_ROOM + CONTACT_WAY * m[BACK_SPEED] - (far - m[BACK_FROM]);
-    const double speed = minimum(m[BACKS], maximum(room, 0.0) / p->dt);
+    if (isnan(m->back_from)) m->back_from = far;
+    const double room = CONTACT_ROOM + CONTACT_WAY * m->back_speed - (far - m->back_from);
+    const double speed = minimum(m->backs, maximum(room, 0.0) / p->dt);
     for (int i = 0; i < 3; i++) c->measured[i] = -speed / gain * way[i], c->measured[3 + i] = 0.0;
     return 1;
 }
@@ -153,7 +154,7 @@ static void observe(Core *c, const double *q, const double *dt) {
         p->reason_b = far;
     }
     if (c->loop->fault != 0.0) {
-        refuse(c, (int)c->loop->fault, (int)c->loop->fault_arm, c->loop->fault_a);
+        refuse(c, (Reason)(int)c->loop->fault, (int)c->loop->fault_arm, c->loop->fault_a);
         p->reason_b = c->loop->fault_b, p->faults = 1.0;
     }
     p->has_errors = errors_at(c, c->carried, c->R, c->p, c->errors);
@@ -164,7 +165,7 @@ static void observe(Core *c, const double *q, const double *dt) {
 
 /* -- propose --------------------------------------------------------------------------------------------------------- */
 
-static void cap_rate(Core *c, double cap, int kind, int arm) {
+static void cap_rate(Core *c, double cap, LimitKind kind, int arm) {
     Proposal *p = c->proposal;
     if (!(cap < p->cap)) return;
     p->cap = cap, p->cause.kind = kind, p->cause.arm = arm, p->cause.joint = -1.0;
@@ -316,7 +317,7 @@ static double missed(const Core *c, double h) {
     return most * h;
 }
 
-static int settle_qp(Core *c, double cap) {
+static Outcome settle_qp(Core *c, double cap) {
     Proposal *p = c->proposal;
     box(c, p->dt);
     const int outside = lead_back(c, p->dt);
@@ -333,7 +334,7 @@ static int settle_qp(Core *c, double cap) {
 }
 
 /* The ranked answer at one linearisation: nominal, else the fastest rate on the path, else the QP. */
-static int settle(Core *c, double cap) {
+static Outcome settle(Core *c, double cap) {
     Proposal *p = c->proposal;
     const double h = p->dt;
     p->new_rate = cap, p->binding_row = -1.0, p->bindings = 0.0;
@@ -360,7 +361,7 @@ static void linearise_about(Core *c, const double *v) {
     carry_and_linearise(c, middle, c->p, nullptr, c->jacobian);
 }
 
-static int answered(int outcome) { return outcome != OPEN && outcome != FILLED; }
+static int answered(Outcome outcome) { return outcome != OPEN && outcome != FILLED; }
 
 /* Whether one linearisation is not enough for the command. */
 static int long_step(const Core *c) {
@@ -376,7 +377,7 @@ static int long_step(const Core *c) {
 /* Linearise about the answer's own way until it settles, `least` times at least, and keep the answer that misses least:
  * near singularities a further one may miss more. Where no answer is found the definition does the same with any
  * solver. */
-static int settle_again(Core *c, double cap, int outcome, int least) {
+static Outcome settle_again(Core *c, double cap, Outcome outcome, int least) {
     const double h = c->proposal->dt;
     const size_t joints = sizeof(double) * (size_t)c->joints, twists = 6 * sizeof(double) * (size_t)c->arms;
     double smallest = INFINITY;
@@ -414,7 +415,7 @@ static int brakes_together(const Core *c) {
 }
 
 /* The ranked answer under the cap and the further rows; returns an outcome. */
-static int answer(Core *c) {
+static Outcome answer(Core *c) {
     Proposal *p = c->proposal;
     double *start = c->first_guess;
     const int first = c->loop->first != 0.0;
@@ -423,7 +424,7 @@ static int answer(Core *c) {
     p->rows = c->further_rows;
     for (int j = 0; j < c->joints; j++) c->guess[j] = 2.0 * c->velocity[j] - c->before[j];
     linearise_about(c, c->guess);
-    int outcome = settle(c, p->cap);
+    Outcome outcome = settle(c, p->cap);
     if (first && !answered(outcome)) outcome = OPEN;
     if (answered(outcome)) {
         const int again = long_step(c);
@@ -432,11 +433,12 @@ static int answer(Core *c) {
         /* The velocities at the start and the middle of the first step serve as the velocities of two steps. */
         for (int j = 0; first && j < c->joints; j++) c->stand_in[j] = 2.0 * start[j] - c->command[j];
     }
-    return (int)(p->outcome = outcome);
+    p->outcome = outcome;
+    return outcome;
 }
 
 /* Find the command; returns an outcome. Nothing of the state changes but the preview, which grows. */
-static int propose(Core *c) {
+static Outcome propose(Core *c) {
     Proposal *p = c->proposal;
     const double h = p->dt, clock = c->loop->clock, rest = c->duration - clock;
     p->cause.kind = NONE;
@@ -456,7 +458,10 @@ static int propose(Core *c) {
     }
     if (c->redundant) wish(c);
     p->rows = c->given_rows;
-    if (p->has_errors == 0.0) return (int)(p->outcome = OPEN);
+    if (p->has_errors == 0.0) {
+        p->outcome = OPEN;
+        return OPEN;
+    }
     corrections(c, h);
     return answer(c);
 }
@@ -494,7 +499,7 @@ static void write_bindings(Core *c, double *entries, int *position, int *acceler
     c->record->bindings = count;
 }
 
-static int slow_status(const Core *c, double rate, int position, int acceleration) {
+static Status slow_status(const Core *c, double rate, int position, int acceleration) {
     const int rising = rate > c->loop->rate + RATE_ROUNDING, outside = any_outside(c);
     const int ends = position || (c->looks_ahead && c->ahead->ends != 0.0);
     const int arriving = ends && !rising && !outside;
@@ -508,7 +513,7 @@ static int slow_status(const Core *c, double rate, int position, int acceleratio
 }
 
 /* The status that a step alone would say, or that of the last step, which lasts a moment. */
-static int lasting(Core *c, int found, double rate) {
+static Status lasting(Core *c, Status found, double rate) {
     const double h = c->proposal->dt, last = c->loop->said;
     double more = 0.0, most = 0.0;
     if (last == BLOCKED && found == SLOWED && c->record->bindings > 0.0)
@@ -574,7 +579,9 @@ static void move_on(Core *c, double rate, double clock_next) {
     memcpy(c->velocity, c->command, sizeof(double) * (size_t)c->joints);
     for (int j = 0; j < c->joints; j++) c->positions[j] += h * c->command[j];
     c->loop->has_predicted = p->parting == 0.0 && p->braked == 0.0 && c->loop->path_lost == 0.0;
-    c->loop->rate_slope = (rate - c->loop->rate) / h;
+    /* A start sets the rate, and where no acceleration is limited the first step may leave it by a jump: no slope. */
+    const int jumped = c->loop->first != 0.0 && !c->accelerates;
+    c->loop->rate_slope = jumped ? 0.0 : (rate - c->loop->rate) / h;
     c->loop->last_dt = h, c->loop->clock = clock_next, c->loop->rate = rate, c->loop->first = 0.0;
 }
 
@@ -587,7 +594,7 @@ static void write_configuration(const Core *c, double *q) {
 }
 
 /* Move the state by the proposed command, and write the record. Returns the status. */
-static int commit(Core *c) {
+static Status commit(Core *c) {
     Proposal *p = c->proposal;
     Record *r = c->record;
     double *q = vectors_of(r), *velocity = q + c->nq, *q_next = velocity + c->joints, *off_path = q_next + c->nq;
@@ -596,7 +603,8 @@ static int commit(Core *c) {
     if (c->duration - clock_next < 1e-9 * c->duration) clock_next = c->duration;
     /* the last step needs the full rate */
     const double share = rate >= 1.0 || (clock_next >= c->duration && p->hold == 0.0) ? 1.0 : rate;
-    int position, acceleration, status = TRACKING;
+    Status status = TRACKING;
+    int position, acceleration;
     write_bindings(c, off_path + 6, &position, &acceleration);
     if (share <= 1.0 - 1e-6) status = slow_status(c, share, position, acceleration);
     status = lasting(c, status, share);

@@ -11,14 +11,6 @@
 #include "minding.h"
 #include "spatial.h"
 
-/* The best arithmetic that this processor can do. */
-static const Arithmetic *best() {
-#ifdef HAS_AVX2_ARITHMETIC
-    if (__builtin_cpu_supports("avx2") && __builtin_cpu_supports("fma")) return &avx2::arithmetic;
-#endif
-    return &plain::arithmetic;
-}
-
 /* Objects of Python that a Core holds: callables, empty for none, and what a step is made of. */
 enum {
     OWN_PATH, BOUND_KNOT, EVADE, CLEAR, FURTHER_ROWS, TIGHTENED, SURVEY_HERE, SURVEY_AHEAD, /* put numbers into the memory */
@@ -206,7 +198,7 @@ static void set_path(BoundCore &self, In &numbers, const Maybe &own, Out &pose, 
 }
 
 static void make_steps(BoundCore &self, const nb::type_object &type, const Maybe &context, const nb::tuple &statuses) {
-    check_fit(statuses.size() >= N_STATUSES, "a status is missing");
+    check_fit(statuses.size() > OFF_PATH, "a status is missing");
     self.objects[STEP_TYPE] = type, self.objects[STATUSES] = statuses;
     self.objects[CONTEXT] = context.value_or(nb::none());
 }
@@ -399,7 +391,7 @@ static void bind_minding(BoundCore &self, nb::object memory, In &places, nb::obj
     check_minding(forces, self.arms);
     check_fit(places.size == 12 * self.arms);
     self.minding_array = std::move(forces), self.places_array = std::move(places);
-    self.minding = self.minding_array.data;
+    self.minding = reinterpret_cast<Minding *>(self.minding_array.data);
     self.minding_given = std::move(memory), self.objects[TELL] = std::move(tell);
 }
 
@@ -424,23 +416,23 @@ static double fastest(int n, const double *velocity) {
 static nb::object step_minding(BoundCore &self, nb::handle memory, const InOrNone &q, const Maybe &dt,
                                const InOrNone &wrenches) {
     Stepping here(&self);
-    double *m = self.minding;
-    if (!memory.is(self.minding_given) || !gives_way(m) || m[AGE] >= LOOK_EVERY) return nb::bool_(false);
+    Minding *m = self.minding;
+    if (!memory.is(self.minding_given) || !gives_way(m) || m->age >= LOOK_EVERY) return nb::bool_(false);
     const double *felt = wrenches_of(wrenches, self.arms), length = length_of(&self, dt);
     check_fit(!q.data || q.size == self.nq);
     self.can->relax(self.arms, m, felt, length);
     self.can->allow(self.arms, m, length);
     move_grasp(&self, self.places_array.data, minding_of(self.arms, m).shift);
-    self.loop->overridden = m[ALLOWED];
+    self.loop->overridden = m->allowed;
     observe(&self, q, dt);
     nb::object step = command(&self);
     if (self.handed) return step;
-    m[REFERENCE_DT] = m[ASKED_DT], m[ASKED_DT] = self.record->dt;
+    m->reference_dt = m->asked_dt, m->asked_dt = self.record->dt;
     memcpy(minding_of(self.arms, m).reference, self.R, 9 * sizeof(double));
     memcpy(minding_of(self.arms, m).reference + 9, self.p, 3 * sizeof(double));
-    m[AT_END] = !(self.record->clock_next > self.record->clock);
-    m[LAST_RATE] = self.record->rate, m[LAST_SPEED] = fastest(self.joints, vectors_of(self.record) + self.nq);
-    if (m[WHY] != NOTHING_MORE) self.objects[TELL](step);
+    m->at_end = !(self.record->clock_next > self.record->clock);
+    m->last_rate = self.record->rate, m->last_speed = fastest(self.joints, vectors_of(self.record) + self.nq);
+    if (m->why != NOTHING_MORE) self.objects[TELL](step);
     return step;
 }
 
@@ -522,10 +514,10 @@ void bind_step(nb::module_ &m) {
         .def("solve", &LeastDistance::solve);
     m.def("relax", [](Out &memory, long arms, const InOrNone &wrenches, double dt) {
         check_minding(memory, arms);
-        return best()->relax((int)arms, memory.data, wrenches_of(wrenches, (int)arms), dt);
+        return (int)best()->relax((int)arms, reinterpret_cast<Minding *>(memory.data), wrenches_of(wrenches, (int)arms), dt);
     });
     m.def("allow", [](Out &memory, long arms, double dt) {
         check_minding(memory, arms);
-        best()->allow((int)arms, memory.data, dt);
+        best()->allow((int)arms, reinterpret_cast<Minding *>(memory.data), dt);
     });
 }

@@ -8,11 +8,12 @@
 /* Finding of one sample: a cap of the rate, and why it is below 1. */
 struct Seen {
     double cap = 1.0;
-    int hold = 0, fault = 0, arm = -1, reason = NO_REASON;
+    int hold = 0, fault = 0, arm = -1;
+    Reason reason = NO_REASON;
     double a = 0.0, b = 0.0; /* numbers of the reason */
 };
 
-static void hold_for(Seen *seen, int reason, int arm, double a, double b) {
+static void hold_for(Seen *seen, Reason reason, int arm, double a, double b) {
     seen->cap = 0.0;
     seen->hold = 1;
     seen->arm = arm, seen->reason = reason;
@@ -164,7 +165,7 @@ static void follow_drift(Core *c, const double *apart, double dt, double *out) {
     }
     c->watch->drift_started = 1.0;
     for (int i = 0; i < 6 * c->arms; i++) fastest = fmax(fastest, fabs(apart[i] - c->slow_drift[i]));
-    c->minding[WAY_DONE] = way;
+    c->minding->way_done = way;
     const double share = fmin((LARGEST_SLOPE * way + GROWS * dt) / fastest, 1.0);
     for (int i = 0; i < 6 * c->arms; i++) {
         c->slow_drift[i] = clamp(c->slow_drift[i] + share * (apart[i] - c->slow_drift[i]), -limit, limit);
@@ -539,7 +540,7 @@ static void fall_gently(const Core *c, double dt, Seen *seen) {
 
 static void watch_sample(Core *c, const double *positions, const double *q, const double *away, double dt) {
     const Options *o = c->options;
-    const int minds = c->arms > 1 && c->minding && c->minding[RIGID] != 0.0;
+    const int minds = c->arms > 1 && c->minding && c->minding->rigid != 0.0;
     Proposal *out = c->proposal;
     double *moved = c->measured_moved;
     Seen seen;
@@ -555,7 +556,7 @@ static void watch_sample(Core *c, const double *positions, const double *q, cons
         if (o->watches_force != 0.0) watch_forces(c, positions, dt, &seen);
         if (c->arms > 1 && !c->minding && o->watches_force == 0.0 && o->slow_from >= 0.0) watch_lag(c, dt, &seen);
         if (o->recovery_time > 0.0) recover(c, dt, &seen);
-        if (c->minding && c->minding[TOUCHES] != 0.0 && !seen.fault) hold_for(&seen, TOUCHING, -1, 0.0, 0.0); /* at once */
+        if (c->minding && c->minding->touches != 0.0 && !seen.fault) hold_for(&seen, TOUCHING, -1, 0.0, 0.0); /* at once */
     }
     if (out->faults != 0.0 || !(seen.cap < out->watch_cap || seen.fault)) return; /* a fault stays as it is */
     out->watch_cap = seen.cap;

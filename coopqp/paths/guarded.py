@@ -225,12 +225,12 @@ class GuardedPath:
             clock = ahead
         return found
 
-    def trouble(self, clock: float, h: float, held: Array, away: float) -> tuple[str, float]:
+    def trouble(self, clock: float, h: float, held: pin.SE3, away: float) -> tuple[str, float]:
         """The fault of the path's poses at ``clock`` and ``h`` later [s], or empty; and the new ``away``.
 
         Args:
             clock, h: the object's clock, and the length of the step [s].
-            held: pose of the object as an arm holds it, in the form of :meth:`coopqp.model.chain.Chain.carried` (4, 3).
+            held: pose of the object as an arm holds it.
             away: its distance from the path in the last step [m]; infinite where the path begins.
         """
         if not self.own:
@@ -239,7 +239,7 @@ class GuardedPath:
         ahead = None if here is None else self.pose(clock + h)
         if here is None or ahead is None:
             return self.problem, away
-        now = pose_distance(here, pin.SE3(held[:3].T.copy(), held[3].copy()))
+        now = pose_distance(here, held)
         far = max(pose_distance(here, ahead), now - away)
         return ("", now) if far <= FASTEST_PATH * h else (jump(far, clock), away)
 

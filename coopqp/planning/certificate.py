@@ -25,7 +25,7 @@ import numpy.typing as npt
 from coopqp.model.batch import ArmKinematics
 from coopqp.model.branches import AT_LIMIT
 from coopqp.planning.segments import Indices, Segments
-from coopqp.spatial import Array, cross_last
+from coopqp.spatial import Array, cross
 
 #: Rounds of the search for r, growth of r in each, and floor of |v| as a share of its largest entry.
 _ROUNDS, _GROWTH, _FLOOR = 6, 1.1, 1e-3
@@ -81,7 +81,7 @@ def tubes(
     arm = T_world_object[:, :3, :3] @ offset[:3, 3]  # from the object's origin to the tool
     J = kinematics.jacobians(q).transpose(0, 2, 1)  # (M, n, 6)
     A = J.copy()
-    A[:, :, :3] += cross_last(arm[:, None], J[:, :, 3:])
+    A[:, :, :3] += cross(arm[:, None], J[:, :, 3:])
     system = np.concatenate([A.transpose(0, 2, 1), rows], axis=1)
     twists, changes = segments.twists(segment, 0.5 * (a + b))
     nu = np.concatenate([twists, (rows @ (qb - qa)[:, :, None])[:, :, 0] / (2.0 * half)[:, None]], 1)
@@ -127,7 +127,7 @@ def tubes(
     sway[np.abs(v) >= r] = 0.0
     sigma = kinematics.singular_values(q)[:, -1]
     # The tool's lever turns with the object: on a straight segment about a fixed axis.
-    lever = np.linalg.norm(cross_last(twists[:, 3:], arm), axis=1)
+    lever = np.linalg.norm(cross(twists[:, 3:], arm), axis=1)
     straight = (motion.turn_change == 0.0) & (changes[:, 3:] == 0.0).all(axis=1)
     drift = half * np.where(straight, lever, motion.turn * np.linalg.norm(arm, axis=1))
     size = np.sqrt(E.sum(axis=1).max(axis=1) * E.sum(axis=2).max(axis=1))  # ‖E‖₂ ≤ √(‖E‖₁ ‖E‖∞)
@@ -196,8 +196,8 @@ def _derivatives(A: Array) -> Array:
     first, last = np.minimum.outer(np.arange(n), np.arange(n)), np.maximum.outer(np.arange(n), np.arange(n))
     linear, angular = A[:, :, :3], A[:, :, 3:]
     H = np.empty((len(A), n, n, 6))
-    H[:, :, :, :3] = cross_last(angular[:, first], linear[:, last])
-    H[:, :, :, 3:] = cross_last(angular[:, :, None], angular[:, None])
+    H[:, :, :, :3] = cross(angular[:, first], linear[:, last])
+    H[:, :, :, 3:] = cross(angular[:, :, None], angular[:, None])
     H[:, :, :, 3:] *= (np.arange(n)[:, None] < np.arange(n))[:, :, None]
     return H
 

@@ -19,7 +19,7 @@ from coopqp.model.cell import RobotCell
 from coopqp.model.grasp import Grasp
 from coopqp.paths.geometry import PathGeometry
 from coopqp.planning.arm_starts import why_it_ends
-from coopqp.spatial import Array, cross_last
+from coopqp.spatial import Array, cross
 
 #: A knot is reached within this [m, rad]; then Newton's method goes on to rounding.
 _REACHED, _EXACT = 1e-9, 1e-14
@@ -95,9 +95,9 @@ class Motion:
         r = self.R @ X.translation
         T = np.concatenate([(self.R @ X.rotation).reshape(-1, 9), self.p + r], axis=1)
         V, dV = self.V.copy(), self.slope.copy()
-        whirl = cross_last(V[:, 3:], r)
+        whirl = cross(V[:, 3:], r)
         V[:, :3] += whirl
-        dV[:, :3] += cross_last(dV[:, 3:], r) + cross_last(V[:, 3:], whirl)
+        dV[:, :3] += cross(dV[:, 3:], r) + cross(V[:, 3:], whirl)
         return T, V, dV
 
 

@@ -6,6 +6,7 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
+import pinocchio as pin
 
 from coopqp.control.interface import Controller
 from coopqp.control.options import QPOptions
@@ -25,10 +26,8 @@ from coopqp.simulation.simulate import ProgressCallback, simulate
 
 def box_payload(scenario: Scenario, torque_share: float = 1.0) -> Payload:
     """The object of a scenario as a homogeneous box, and a share of the joints' torques."""
-    x, y, z = scenario.object_size
-    inertia = scenario.object_mass / 12.0 * np.diag([y * y + z * z, x * x + z * z, x * x + y * y])
-    R = scenario.T_object_body.rotation
-    made = Payload(mass=scenario.object_mass, centre=scenario.T_object_body.translation, inertia=R @ inertia @ R.T)
+    box = scenario.T_object_body.act(pin.Inertia.FromBox(scenario.object_mass, *scenario.object_size))
+    made = Payload(mass=box.mass, centre=box.lever, inertia=box.inertia)
     return made if torque_share == 1.0 else replace(made, torque=torque_share * made.limits(scenario.cell))
 
 

@@ -153,19 +153,20 @@ class _Recorder:
 
     def __init__(self, controller: Controller, measured: Array, loaded: Any = None) -> None:
         cell = controller.cell
-        self._shift = Rows(len(cell), 6) if hasattr(controller, "shift") else None
-        self._loaded, self._wrenches, self._torques = loaded, Rows(len(cell), 6), Rows(cell.nv)
         self._controller: Any = controller
+        self._loaded = loaded
+        self._rows = {"time": Rows(), "clock": Rows(), "rate": Rows(), "status": Rows(), "reference": Rows(4, 4)}
+        self._rows |= {"q": Rows(cell.nq), "q_command": Rows(cell.nq), "velocity": Rows(cell.nv)}
+        if hasattr(controller, "shift"):
+            self._rows["shift"] = Rows(len(cell), 6)
+        if loaded is not None:
+            self._rows |= {"wrenches": Rows(len(cell), 6), "torques": Rows(cell.nv)}
         self.steps = 0
         self._now, self._failures, self._finished = 0.0, 0, False
         self._notes = Notes()
         self._binding: list[list[Any]] = []
         self._last: tuple[BindingLimit, ...] = ()
-        self._time, self._clock, self._rate, self._status = Rows(), Rows(), Rows(), Rows()
-        self._q, self._q_command, self._velocity = Rows(cell.nq), Rows(cell.nq), Rows(cell.nv)
-        self._reference = Rows(4, 4)
-        self._time.append(0.0)
-        self._q.append(measured)
+        self._append(time=0.0, q=measured)
 
     def take(self, step: ControlStep, measured: Array) -> None:
         """One more step, and the configuration measured after it."""
@@ -173,17 +174,13 @@ class _Recorder:
             self._sample(step.q, step.clock)
         self._sample(step.q_next, step.clock_next)
         self._now += step.dt
-        self._time.append(self._now)
-        self._q.append(measured)
-        self._velocity.append(step.velocity)
-        self._rate.append(step.rate)
-        self._status.append(float(step.status.code))
+        self._append(time=self._now, q=measured)
+        self._append(velocity=step.velocity, rate=step.rate, status=float(step.status.code))
         self._notes.take(step)
-        if self._shift is not None:
-            self._shift.append(self._controller.shift)
+        if "shift" in self._rows:
+            self._append(shift=self._controller.shift)
         if self._loaded is not None:
-            self._wrenches.append(self._loaded.sensed_wrenches())
-            self._torques.append(self._loaded.joint_torques)
+            self._append(wrenches=self._loaded.sensed_wrenches(), torques=self._loaded.joint_torques)
         if step.binding != self._last:
             self._binding.append([self.steps, [entries_of(limit) for limit in step.binding]])
             self._last = step.binding
@@ -191,10 +188,13 @@ class _Recorder:
         self._finished = step.finished
         self.steps += 1
 
+    def _append(self, **rows: Any) -> None:
+        """A row to each of some arrays, by name."""
+        for name, row in rows.items():
+            self._rows[name].append(row)
+
     def _sample(self, q_command: Array, clock: float) -> None:
-        self._q_command.append(q_command)
-        self._clock.append(clock)
-        self._reference.append(self._controller.path.pose(clock).homogeneous)
+        self._append(q_command=q_command, clock=clock, reference=self._controller.path.pose(clock).homogeneous)
 
     def recording(self, metadata: dict[str, Any]) -> Recording:
         """The run so far.
@@ -203,20 +203,11 @@ class _Recorder:
         step before. A limit of a user's constraint has its name as a fourth entry.
         """
         controller, cell = self._controller, self._controller.cell
+        arrays: dict[str, Any] = {name: rows.array() for name, rows in self._rows.items()}
         return Recording(
-            time=self._time.array(),
-            q=self._q.array(),
-            q_command=self._q_command.array(),
-            velocity=self._velocity.array(),
-            clock=self._clock.array(),
-            rate=self._rate.array(),
-            status=self._status.array(),
-            reference=self._reference.array(),
+            **arrays,
             T_object_tool=read_only(np.array([X.homogeneous for X in controller.grasp.T_object_tool])),
             notes=self._notes.lines(),
-            wrenches=None if self._loaded is None else self._wrenches.array(),
-            shift=None if self._shift is None else self._shift.array(),
-            torques=None if self._loaded is None else self._torques.array(),
             metadata={
                 "controller": type(controller).__name__,
                 "dt": controller.dt,

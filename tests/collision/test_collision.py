@@ -36,13 +36,14 @@ from coopqp import (
 )
 from coopqp.collision import Body, Box, Capsule, Cylinder, Hull, Mesh, PairRules, Sphere
 from coopqp.collision.distances import KERNEL, Distances, LowerBounds
-from coopqp.collision.evasion import YIELDS, Evasion
+from coopqp.collision.evasion import Evasion
 from coopqp.constraints.velocity import MOST_ROWS, ConstraintTrouble
 from coopqp.errors import MissingExtraError, UnknownNameError
 from coopqp.files import CellFileError
 from coopqp.model import CellState
 from coopqp.model.chain import Chain
 from coopqp.native import available_kernels, compiled
+from coopqp.native.constants import YIELDS
 from coopqp.planning import PathVerdict
 from coopqp.scenarios import (
     Scenario,
@@ -231,6 +232,7 @@ def rows_memory(nv: int, rows: int) -> dict[str, Any]:
     sizes = {"G": rows * nv, "lower": rows, "upper": rows, "soft": rows, "owner": rows}
     of_joints = ("positions", "command", "quiet_centre", "quiet_reach")
     of_joints += ("quiet_ahead_centre", "quiet_ahead_reach", "knot_positions", "knot_slope", "knot_curvature")
+    of_joints += ("evading_positions", "evading_slope")
     one = ("dt", "quiet_slack", "quiet_approach", "quiet_ahead_slack", "quiet_ahead_approach", "knots")
     found = {name: np.zeros(sizes.get(name, 1 if name in one else nv)) for name in (*sizes, *of_joints, *one)}
     return {**found, "knot_numbers": np.array([1.0, 0.0])}
@@ -311,7 +313,7 @@ def test_rows_in_memory_refuse_what_does_not_fit(lift: Scenario) -> None:
 def test_rows_in_memory_that_were_not_built_say_so() -> None:
     unbuilt = KERNEL.Nearby.__new__(KERNEL.Nearby)
     for ask in (unbuilt.tightened, lambda: unbuilt.rows(True)):
-        with pytest.raises(RuntimeError, match="not built"):
+        with pytest.raises(TypeError), pytest.warns(RuntimeWarning, match="uninitialized"):
             ask()
 
 
@@ -1091,5 +1093,5 @@ def test_a_step_asks_for_few_distances(monkeypatch: pytest.MonkeyPatch) -> None:
         per_step.append(asked[0])
     assert step.finished
     assert step.status is Status.TRACKING
-    assert sum(per_step) > 100  # distances are needed, and each is asked by the step that this counts
+    assert sum(per_step) > 0  # the core's own bounds suffice nearly everywhere; what is asked is counted here
     assert max(per_step) <= 16  # 13; where a knot asked for all at once it was up to 60

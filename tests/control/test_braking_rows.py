@@ -47,7 +47,7 @@ def test_the_gradient_of_a_singularity_and_the_bend_are_their_differences(
         for k, columns in enumerate(chain.moving_columns):
             T = state.T_world_tool[k]
             chain.evaluate(q, T.translation)
-            sigma, gradient = least_singular_value(chain.rows()[columns])
+            sigma, gradient = least_singular_value(chain.jacobians[k])
             assert sigma == pytest.approx(state.sigma_min[k], abs=1e-12)
             around = [
                 [CellState(cell, cell.moved(q, sign * eps * np.eye(cell.nv)[j])).sigma_min[k] for sign in (1.0, -1.0)]
@@ -57,9 +57,7 @@ def test_the_gradient_of_a_singularity_and_the_bend_are_their_differences(
             at = rng.normal(size=3)
             chain.evaluate(q, T.act(at))
             after, before = (tool_twist(task, cell.moved(q, sign * eps * v), k, columns, v, at) for sign in (1.0, -1.0))
-            np.testing.assert_allclose(
-                bend(chain.rows()[columns], v[columns]), (after - before) / (2.0 * eps), atol=2e-7
-            )
+            np.testing.assert_allclose(bend(chain.jacobians[k], v[columns]), (after - before) / (2.0 * eps), atol=2e-7)
 
 
 def braking(task: Scenario) -> BrakingRows:

@@ -8,14 +8,14 @@ import numpy as np
 import pytest
 
 from coopqp import LinePath, QPController, QPOptions
-from coopqp.control.step.linearised import averaging, bounded
+from coopqp.control.step.linearised import bounded, mean_error
 from coopqp.model.chain import Chain
 from coopqp.scenarios import paper_lift
 
 
 def test_the_mean_is_that_of_each_axis_by_the_shares(rng: np.random.Generator) -> None:
     shares, errors = rng.uniform(size=(4, 6)), rng.normal(size=(4, 6))
-    np.testing.assert_allclose(averaging(shares) @ errors.ravel(), (shares * errors).sum(axis=0), atol=1e-14)
+    np.testing.assert_allclose(mean_error(shares, errors), (shares * errors).sum(axis=0), atol=1e-14)
 
 
 @pytest.mark.parametrize(("speed", "spin"), [(0.1, 0.5), (0.5, 0.1), (1e-3, 2.0), (3.0, 3.0)])

@@ -48,7 +48,7 @@ def random_box(rng: np.random.Generator, n: int, *, unlimited: float = 0.2) -> V
 
 
 def limits_of(box: VelocityBox) -> JointLimits:
-    return box._cell.limits
+    return box.limits
 
 
 def random_positions(box: VelocityBox, rng: np.random.Generator) -> Array:

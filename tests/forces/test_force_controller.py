@@ -29,7 +29,7 @@ from coopqp import (
 )
 from coopqp.baselines import PseudoInverseController
 from coopqp.control.core import minding_of
-from coopqp.control.core.relax_plain import minding_size, minding_views
+from coopqp.control.core.relax_plain import minding_scalars, minding_size, minding_views
 from coopqp.errors import StartWarning
 from coopqp.forces import Grip, LoadShare, StressModel, internal_wrenches
 from coopqp.model import CellState
@@ -304,17 +304,18 @@ def test_core_and_definition_agree_about_what_minds_forces(arms: int, seed: int)
     """In each stage, with and without palms: dead bands, ends of the reach, wrenches that do not come, faults."""
     if len(available_kernels()) < 2:
         pytest.skip("one kernel")
-    rng, places = np.random.default_rng(seed), {name: i for i, name in enumerate(layout.MINDING)}
+    rng, size = np.random.default_rng(seed), layout.SIZES["Minding"]
     compiled = rng.uniform(-1.0, 1.0, minding_size(arms))
-    compiled[: len(places)] = rng.uniform(0.05, 2.0, len(places))
+    compiled[:size] = rng.uniform(0.05, 2.0, size)
+    scalars = minding_scalars(compiled)
     for name, value in {
-        "MOST_REACH": compiled[places["MOST_REACH"]] * 10.0 ** rng.integers(-2, 2),
-        "FORCE_SLOWS": 0.5, "FORCE_HOLDS": rng.choice([1.0, 50.0]), "SATURATED": 0.0, "STEPPED": rng.random() < 0.9,
-        "STAGE": rng.integers(len(layout.STAGES)), "HAS_PALMS": rng.random() < 0.5, "SENSOR_ARM": 0.0,
-        "SENSOR_FAULT": rng.choice([0, 0, 0, 0, layout.SENSORS.index("SENSOR_WRONG")]), "FORCE_CAP": rng.random(),
-        "WAIT": rng.choice([0.15, 10.0]), "WHY": 0.0, "WHY_ARM": 0.0, "MOST_SQUEEZE": rng.choice([0.0, 30.0]),
+        "most_reach": scalars.most_reach * 10.0 ** rng.integers(-2, 2),
+        "force_slows": 0.5, "force_holds": rng.choice([1.0, 50.0]), "saturated": 0.0, "stepped": rng.random() < 0.9,
+        "stage": rng.integers(len(layout.STAGES)), "has_palms": rng.random() < 0.5, "sensor_arm": 0.0,
+        "sensor_fault": rng.choice([0, 0, 0, 0, layout.SENSORS.index("SENSOR_WRONG")]), "force_cap": rng.random(),
+        "wait": rng.choice([0.15, 10.0]), "why": 0.0, "why_arm": 0.0, "most_squeeze": rng.choice([0.0, 30.0]),
     }.items():  # fmt: skip
-        compiled[places[name]] = value
+        setattr(scalars, name, value)
     views = minding_views(compiled, arms)
     views["silent"][:] = 0.0
     if rng.random() < 0.5:  # palms that press
@@ -331,7 +332,7 @@ def test_core_and_definition_agree_about_what_minds_forces(arms: int, seed: int)
         allow(compiled, arms, 0.1)
         allow_plain(plain, arms, 0.1)
         np.testing.assert_allclose(compiled, plain, rtol=1e-11, atol=1e-11)
-        compiled[places["LAST_RATE"]] = plain[places["LAST_RATE"]] = rng.random()
+        scalars.last_rate = minding_scalars(plain).last_rate = rng.random()
 
 
 FAULTS = ("none", "noise", "lost", "late", "silent", "wrong", "out of reach", "palms", "lags")

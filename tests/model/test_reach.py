@@ -34,7 +34,7 @@ def stretched(task: Scenario, rng: np.random.Generator, elbow: float) -> tuple[A
 def about_the_object(task: Scenario, chain: Chain, x: Array) -> Array:
     """The chain's edges at positions, from Jacobians about the object."""
     q = task.cell.configuration(x)
-    chain.evaluate(q, chain.carried(q)[0, 3].copy())
+    chain.evaluate(q, chain.carried(q)[0].translation)
     return chain.edges()
 
 

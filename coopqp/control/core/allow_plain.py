@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import numpy as np
 
-from coopqp.control.core.relax_plain import AT, MOVING, SENSORS_FINE, minding_views
+from coopqp.control.core.relax_plain import MOVING, SENSORS_FINE, minding_scalars, minding_views
 from coopqp.native import layout
 from coopqp.native.constants import FIRMER, FRICTION_SLOWS, LEAST_CALM, RATE_FALLS, RATE_RISES, SLOW_RATE, SPARE_SQUEEZE
 from coopqp.spatial import Array
@@ -15,64 +16,64 @@ NOTHING_MORE, BY_SENSOR, BY_REACH, BY_STAGE, BY_FRICTION, BY_FORCE, BY_CONTACT =
 
 
 def allow(memory: Array, arms: int, dt: float, /) -> None:
-    """Find the largest rate of the object now, ALLOWED, and WHY it is less than the wanted rate."""
-    m = memory
-    size, slows, asked = m[AT["SIZE"]], m[AT["FORCE_SLOWS"]], m[AT["ASKED"]]
-    m[AT["ALLOWED"]], why = 0.0, NOTHING_MORE
-    if m[AT["SENSOR_FAULT"]] != SENSORS_FINE:
+    """Find the largest rate of the object now, ``allowed``, and ``why`` it is less than the wanted rate."""
+    m = minding_scalars(memory)
+    size, slows, asked = m.size, m.force_slows, m.asked
+    m.allowed, why = 0.0, NOTHING_MORE
+    if m.sensor_fault != SENSORS_FINE:
         why = BY_SENSOR
-    elif m[AT["TOUCHES"]]:
+    elif m.touches:
         why = BY_CONTACT
-    elif m[AT["SATURATED"]] and size > slows:
+    elif m.saturated and size > slows:
         why = BY_REACH
-    elif m[AT["STAGE"]] != MOVING:
+    elif m.stage != MOVING:
         why = BY_STAGE
-    m[AT["WHY"]] = why
+    m.why = why
     if why != NOTHING_MORE:
         return
-    if m[AT["HAS_PALMS"]] and _friction_slows(m, minding_views(m, arms), dt):
-        m[AT["WHY"]], m[AT["ALLOWED"]] = BY_FRICTION, min(m[AT["FORCE_CAP"]], asked)
+    if m.has_palms and _friction_slows(m, minding_views(memory, arms), dt):
+        m.why, m.allowed = BY_FRICTION, min(m.force_cap, asked)
         return
-    holds = m[AT["FORCE_HOLDS"]]
+    holds = m.force_holds
     _ease_cap(m, min(max((holds - size) / (holds - slows), 0.0), 1.0), dt)
-    cap = m[AT["FORCE_CAP"]]
-    m[AT["WHY"]], m[AT["ALLOWED"]] = NOTHING_MORE if cap >= asked else BY_FORCE, min(cap, asked)
+    cap = m.force_cap
+    m.why, m.allowed = NOTHING_MORE if cap >= asked else BY_FORCE, min(cap, asked)
 
 
-def _ease_cap(m: Array, cap: float, dt: float) -> None:
+def _ease_cap(m: Any, cap: float, dt: float) -> None:
     """Let the rate that forces allow come closer to ``cap``.
 
     It falls in proportion to itself, as braking makes forces of its own, and rises the less, the more is felt, and the
     stiffer the servos are.
     """
-    now = m[AT["FORCE_CAP"]]
+    now = m.force_cap
     falls = max(now, SLOW_RATE) / RATE_FALLS
-    calm = max(1.0 - m[AT["SIZE"]] / m[AT["FORCE_SLOWS"]], LEAST_CALM) / math.sqrt(max(m[AT["STIFFER"]], 1.0))
-    m[AT["FORCE_CAP"]] = min(max(cap, now - falls * dt), now + calm * dt / RATE_RISES)
+    calm = max(1.0 - m.size / m.force_slows, LEAST_CALM) / math.sqrt(max(m.stiffer, 1.0))
+    m.force_cap = min(max(cap, now - falls * dt), now + calm * dt / RATE_RISES)
 
 
-def _friction_slows(m: Array, x: dict[str, Array], dt: float) -> bool:
+def _friction_slows(m: Any, x: dict[str, Array], dt: float) -> bool:
     """Whether friction is what slows the object."""
     used = palms_used(x["palms"], x["seen"])
-    share = dt / (dt + m[AT["WRENCH_FILTER"]])
+    share = dt / (dt + m.wrench_filter)
     _press_harder(m, x, palms_need(x["palms"], x["seen"]), share, dt)
-    m[AT["FRICTION_USED"]] += share * (min(used.max(), 2.0) - m[AT["FRICTION_USED"]])
-    now = m[AT["FRICTION_USED"]]
+    m.friction_used += share * (min(used.max(), 2.0) - m.friction_used)
+    now = m.friction_used
     if not now > FRICTION_SLOWS:
         return False
     _ease_cap(m, max((1.0 - now) / (1.0 - FRICTION_SLOWS), 0.0), dt)
-    m[AT["WHY_ARM"]] = used.argmax()
+    m.why_arm = used.argmax()
     return True
 
 
-def _press_harder(m: Array, x: dict[str, Array], needed: float, share: float, dt: float) -> None:
+def _press_harder(m: Any, x: dict[str, Array], needed: float, share: float, dt: float) -> None:
     """Raise the squeeze where the load that is felt needs more; it never falls again."""
-    most, pressed = m[AT["MOST_SQUEEZE"]], AT["PRESSED_WITH"]
-    m[AT["NEEDED"]] += share * (min(needed, most) - m[AT["NEEDED"]])
-    wanted = min(SPARE_SQUEEZE * m[AT["NEEDED"]], most)
-    if wanted > m[pressed]:
-        m[pressed] = min(wanted, m[pressed] + FIRMER * dt)
-        x["target"][:] = m[pressed] / m[AT["SQUEEZE"]] * x["squeezed"]
+    most = m.most_squeeze
+    m.needed += share * (min(needed, most) - m.needed)
+    wanted = min(SPARE_SQUEEZE * m.needed, most)
+    if wanted > m.pressed_with:
+        m.pressed_with = min(wanted, m.pressed_with + FIRMER * dt)
+        x["target"][:] = m.pressed_with / m.squeeze * x["squeezed"]
 
 
 def palms_used(palms: Array, wrenches: Array) -> Array:

@@ -103,6 +103,7 @@ class CompiledLoop:
         self._further = self._no_rows
         self._doubtful: Callable[[int], list[int] | None] | None = None
         self._surveys_ahead: Callable[[], bool] = bool  # nothing is to be looked at
+        self._evades: Callable[[], bool] | None = self._evade if constraints.evades else None
         if constraints:
             self._core.bind_knots(self._bound_knot)
         if self._certified is not None:
@@ -110,7 +111,7 @@ class CompiledLoop:
             rows = self._certified.in_memory(self._memory.of_rows())
             ahead = None if rows is None else self._certified.in_memory(self._memory.of_rows(), ahead=True)
             if rows is not None and ahead is not None:
-                self._doubtful, self._surveys_ahead = ahead.doubtful, ahead.surveys
+                self._doubtful, self._surveys_ahead, self._evades = ahead.doubtful, ahead.surveys, ahead.evade
                 self._core.bind_rows(rows.clear, rows.rows, rows.tightened)
                 self._core.bind_surveys(rows.surveys, ahead.surveys)
         self.step = self._core.step
@@ -129,7 +130,7 @@ class CompiledLoop:
         put_options(self._memory, self._chain, self._box, self.options.on(self._guarded.planned_share), self.dt)
         elbows = self._guarded.elbows
         self._numbers.elbows = 0 if elbows is None else len(elbows.clocks)
-        self._core.bind_evasion(self._evade if self.constraints.evades and not self._guarded.keeps_clear else None)
+        self._core.bind_evasion(None if self._guarded.keeps_clear else self._evades)
         self._reader = RecordReader(
             self.cell, self.grasp, path, solver=self.solver.name, constraints=self.constraints,
             dt=self.dt, supervision=self.options.supervision,

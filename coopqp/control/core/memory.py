@@ -60,6 +60,7 @@ class Memory:
             "G": at["further"], "owner": at["further_owner"], "dt": number("proposal", "dt"),
             "quiet_slack": number("loop", "quiet_slack"), "quiet_approach": number("loop", "quiet_approach"),
             **{name: at[name] for name in ("quiet_ahead_centre", "quiet_ahead_reach", "knots")},
+            **{name: at[name] for name in ("evading_positions", "evading_slope")},
             **{f"knot_{name}": at[f"knot_{name}"] for name in ("positions", "slope", "curvature")},
             "quiet_ahead_slack": number("loop", "quiet_ahead"), "quiet_ahead_approach": np.zeros(1),
             "knot_numbers": np.array([layout.SIZES["Knot"], layout.place(layout.Knot, "span")], dtype=float),
@@ -211,14 +212,15 @@ def same_kinematics(chain: Chain, linearise: object, *, samples: int = 3, tolera
         x = rng.uniform(-2.0, 2.0, cell.nv)
         q = cell.configuration(x)
         O = chain.carried(q)
-        about = O[0, 3].copy()
+        about = O[0].translation.copy()
         linearise(x, about, carried, jacobian)  # type: ignore[operator]
         chain.evaluate(q, about)
         mine = carried.reshape(-1, 12)
-        reach = max(reach, float(np.abs(O[:, 3]).max()))
-        away = np.abs(mine[:, :9].reshape(-1, 3, 3).transpose(0, 2, 1) - O[:, :3]).max()
-        away = max(away, np.abs(mine[:, 9:] - O[:, 3]).max() / reach)
-        away = max(away, np.abs(jacobian.reshape(-1, 6)[moving] - chain.rows()[moving]).max() / reach)
+        rotations, origins = np.array([own.rotation for own in O]), np.array([own.translation for own in O])
+        reach = max(reach, float(np.abs(origins).max()))
+        away = np.abs(mine[:, :9].reshape(-1, 3, 3) - rotations).max()
+        away = max(away, np.abs(mine[:, 9:] - origins).max() / reach)
+        away = max(away, np.abs(jacobian.reshape(-1, 6)[moving] - np.hstack(chain.jacobians).T).max() / reach)
         if not away < tolerance:
             return False
     return True

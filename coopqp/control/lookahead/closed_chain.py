@@ -28,7 +28,7 @@ from coopqp.native.constants import (
     STARTING_STEPS,
 )
 from coopqp.paths.guarded import GuardedPath
-from coopqp.spatial import Array, largest
+from coopqp.spatial import Array, for_twists
 
 #: Arms with fewer than six joints follow a path if Newton's method leaves no larger error [m, rad].
 _FOLLOWED = 1e-4
@@ -130,7 +130,7 @@ class ClosedChainAhead:
             yield
             if not self._newton_step(clock, q):
                 return None
-            farthest = largest(np.abs(self._step))
+            farthest = float(np.abs(self._step).max())
             if not farthest < options.joint_step:
                 return None
             q = self._cell.moved(q, self._step)
@@ -186,7 +186,7 @@ class ClosedChainAhead:
         """Whether q″ has changed by a small share of the accelerations since the interval before."""
         if last.span == 0.0 or last.corner:
             return True
-        change = largest(np.abs(knot.curvature - last.curvature) / self._plan.acceleration)
+        change = float((np.abs(knot.curvature - last.curvature) / self._plan.acceleration).max())
         if change <= BEND_CHANGE:
             return True  # at any rate
         z = largest_alone(knot.slope, knot.curvature, self._plan.acceleration, self._plan.slope_cap, knot.cap)
@@ -220,22 +220,21 @@ class ClosedChainAhead:
         if pose is None or twist is None:
             raise LookAheadTrouble(path.problem)
         errors = self._errors = chain.errors(chain.carried(q), pose)
-        if not largest(np.abs(errors)) < np.inf:
+        if not float(np.abs(errors).max()) < np.inf:
             return False
         chain.linearise(q, about=pose.translation)
-        wanted = np.empty((chain.n_arms, 2, 6))  # of the step and of the slope, in world axes
-        wanted[:, 0], wanted[:, 1] = -errors, twist
-        wanted = wanted.reshape(-1, 3).dot(pose.rotation.T).reshape(wanted.shape)
-        step, slope = np.ascontiguousarray(chain.joint_columns(wanted.transpose(0, 2, 1)).T)
-        self._step, self._slope = step, slope
+        to_world = for_twists(pose.rotation)
+        self._step = step = chain.joint_velocities(-errors @ to_world.T)
+        slope = chain.joint_columns((to_world @ twist)[:, None])[:, 0]
         if chain.redundancy:
             slope += chain.null_part(
                 self._posture.velocity(q) if path.elbows is None else self.elbow_velocity(clock, q)
             )
             if self._evade is not None:
-                slope[:] = self._evade(q, slope)
+                slope = self._evade(q, slope)
             if self._path.elbows is None:
                 self._avoidance.lead_away(self._cell.positions(q), slope)
+        self._slope = slope
         return bool(step @ step + slope @ slope < np.inf)
 
     @property
@@ -280,8 +279,8 @@ class ClosedChainAhead:
             cap=cap,
             uncapped=1.0 / max(by_speed, by_bend, 1.0),
             binding=binding,
-            fastest=largest(speed),
-            change=largest(bend * span - self._plan.slope_change),
+            fastest=float(speed.max()),
+            change=float((bend * span - self._plan.slope_change).max()),
             edges=edges,
             rooms=np.maximum.reduceat(np.abs(edges) / self._moving_room, self._starts),
             inside=bool(((x <= self._high) & (x >= self._low)).all()),
@@ -301,7 +300,7 @@ class ClosedChainAhead:
             if jump < cap:
                 j = int((np.abs(after - knot.slope) / self._plan.jump).argmax())
                 cap, binding = jump, self._cell.joint_limit(j, LimitKind.ACCELERATION)
-        fastest = largest(np.abs(after))
+        fastest = float(np.abs(after).max())
         return knot._replace(slope=after, cap=cap, binding=binding, corner=True, fastest=fastest)
 
     def _jump_cap(self, after: Array, before: Array) -> float:

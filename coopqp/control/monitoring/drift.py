@@ -23,7 +23,7 @@ from coopqp.native.constants import (
     SMOOTHING,
     WANDER,
 )
-from coopqp.spatial import Array, largest
+from coopqp.spatial import Array
 
 
 @final
@@ -62,7 +62,7 @@ class Drift:
         if self._last is None:
             self._last = commanded
         elif self._since >= DRIFT_PERIOD:
-            way = largest(np.abs(commanded - self._last))  # joints counted with a lever of 1 m
+            way = float(np.abs(commanded - self._last).max())  # joints counted with a lever of 1 m
             self._last = commanded
             self._update(apart, noise, way / self._since, LARGEST_SLOPE * way, self._since)
             self._since = 0.0
@@ -73,10 +73,10 @@ class Drift:
 
         For rigid grips, whose distances are closure errors: no lag is in them, but the object may grow.
         """
-        way = 0.0 if self._last is None else largest(np.abs(commanded - self._last))
+        way = 0.0 if self._last is None else float(np.abs(commanded - self._last).max())
         self._last, self.way = commanded, way
         off = apart - self._drift
-        fastest = largest(np.abs(off))
+        fastest = float(np.abs(off).max())
         self._drift += off * min((LARGEST_SLOPE * way + GROWS * dt) / max(fastest, 1e-300), 1.0)
         np.minimum(np.maximum(self._drift, -self._largest, out=self._drift), self._largest, out=self._drift)
         return apart - self._drift
@@ -96,7 +96,7 @@ class Drift:
         back = change * (change * drift < 0.0)
         shrunk = np.minimum(np.maximum(back, -np.abs(drift)), np.abs(drift))  # no farther than to 0
         growth = change - shrunk
-        fastest = largest(np.abs(growth))
+        fastest = float(np.abs(growth).max())
         too_fast = fastest > most
         if too_fast:
             growth *= most / fastest

@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, final
 
 import numpy as np
 
-from coopqp.control.core.relax_plain import AT, RELAXING, SENSORS_FINE, back_within_room, minding_views
+from coopqp.control.core.relax_plain import RELAXING, SENSORS_FINE, back_within_room, minding_scalars, minding_views
 from coopqp.native.constants import (
     FEW_SAMPLES,
     HASTE_FILTER,
@@ -30,7 +30,7 @@ from coopqp.native.constants import (
     SERVO_SLOWS,
     SOFTEST,
 )
-from coopqp.spatial import Array, largest
+from coopqp.spatial import Array
 
 if TYPE_CHECKING:
     pass
@@ -41,29 +41,29 @@ class ServoWatch:
     """The comparison with the wrenches, in the memory of the relaxation (:class:`coopqp.forces.Relaxation`).
 
     Args:
-        memory: numbers of :data:`coopqp.native.layout.MINDING`, and the vectors behind them.
+        memory: numbers of :data:`coopqp.native.layout.Minding`, and the vectors behind them.
         names: of the arms.
     """
 
     def __init__(self, memory: Array, names: tuple[str, ...]) -> None:
-        self._memory, self._names, n = memory, names, len(names)
+        self._scalars, self._names, n = minding_scalars(memory), names, len(names)
         self._views = minding_views(memory, n)
         self._from_others = (np.eye(n) - 1.0 / n) * (n / max(n - 1.0, 1.0))
 
     @property
     def minds(self) -> bool:
         """Whether the grips are rigid, so that there is something to compare."""
-        return len(self._names) > 1 and self._memory.item(AT["RIGID"]) != 0.0
+        return len(self._names) > 1 and self._scalars.rigid != 0.0
 
     @property
     def touches(self) -> bool:
         """Whether the object touches something."""
-        return self._memory.item(AT["TOUCHES"]) != 0.0
+        return bool(self._scalars.touches)
 
     @property
     def backs(self) -> bool:
         """Whether the object goes back from what it touches."""
-        return self._memory.item(AT["BACKS"]) != 0.0 and self._memory[AT["SENSOR_FAULT"]] == SENSORS_FINE
+        return bool(self._scalars.backs and self._scalars.sensor_fault == SENSORS_FINE)
 
     def way_back(self, rotation: Array, common: Array, dt: float) -> Array:
         """The twist of the object with which it does, in its own frame (6,) [m/s, rad/s].
@@ -74,13 +74,14 @@ class ServoWatch:
             dt: length of the step [s].
         """
         way: Array = rotation.T @ self._views["push"][3]
-        speed = back_within_room(self._memory, float(way @ common[:3]), dt)
+        speed = back_within_room(self._scalars, float(way @ common[:3]), dt)
         return np.concatenate([speed * way, np.zeros(3)])
 
     @property
     def corrects(self) -> float:
         """Share of the path correction that is made: none before the arms have relaxed."""
-        return self._memory.item(AT["CORRECTS"])
+        share: float = self._scalars.corrects
+        return share
 
     @property
     def shift(self) -> Array:
@@ -97,11 +98,12 @@ class ServoWatch:
         """
         change = (velocity - filtered) / (HASTE_FILTER + dt)
         filtered += dt * change
-        m, at = self._memory, AT["HASTE"]
+        m = self._scalars
         # While an arm is suspected the object slows down for that very reason, which must not excuse the arm.
-        seen = 0.0 if m[AT["SUSPECTED"]] else float(np.abs(change).max())
-        m[at] = max(seen, m[at] * SERVO_PEAK / (SERVO_PEAK + dt))
-        return m.item(at)
+        seen = 0.0 if m.suspected else float(np.abs(change).max())
+        found: float = max(seen, m.haste * SERVO_PEAK / (SERVO_PEAK + dt))
+        m.haste = found
+        return found
 
     def watch(
         self,
@@ -129,15 +131,15 @@ class ServoWatch:
         Returns:
             The rate that is left, the arm that is farthest off, and by how much [m].
         """
-        m, x = self._memory, self._views
-        if m[AT["STAGE"]] < RELAXING or m[AT["SENSOR_FAULT"]] != SENSORS_FINE:
+        m, x = self._scalars, self._views
+        if m.stage < RELAXING or m.sensor_fault != SENSORS_FINE:
             return 1.0, -1, 0.0
         off = (away + self._bent(rotation)) @ lengths
         fresh = dt / (filter_time + dt)
-        noise = math.sqrt(dt / (2.0 * filter_time + dt)) * m.item(AT["SERVO_NOISE"])  # this may be the first of a stall
-        m[AT["SERVO_NOISE"]] = self._noise_seen(off, dt)
+        noise = math.sqrt(dt / (2.0 * filter_time + dt)) * m.servo_noise  # this may be the first of a stall
+        m.servo_noise = self._noise_seen(off, dt)
         x["off_servos"] += fresh * (off - x["off_servos"])
-        if m[AT["SERVO_SAMPLES"]] < FEW_SAMPLES:
+        if m.servo_samples < FEW_SAMPLES:
             return 1.0, -1, 0.0
         apart = self._from_others @ x["off_servos"]
         drifted = apart - x["off_drift"]  # where the load is shared otherwise
@@ -146,26 +148,26 @@ class ServoWatch:
         far = np.linalg.norm(apart, axis=1)
         arm = int(far.argmax())
         # Softer servos than given deflect more for the same force; what their damping makes of it is as much larger.
-        soft = min(max(m.item(AT["STIFFER"]), SOFTEST), 1.0)
+        soft = min(max(m.stiffer, SOFTEST), 1.0)
         worst = soft * (float(far[arm]) - margin * noise) - SERVO_LATE * hasty
-        m[AT["SUSPECTED"]] = worst > SERVO_SLOWS
+        m.suspected = worst > SERVO_SLOWS
         return min(max((SERVO_HOLDS - worst) / (SERVO_HOLDS - SERVO_SLOWS), 0.0), 1.0), arm, float(far[arm])
 
     def _bent(self, rotation: Array) -> Array:
         """By how much the arms stand off their commands for their wrenches, but for the sign (N, 6) [m, rad]."""
-        m, x = self._memory, self._views
-        load = rotation.T @ m[AT["WEIGHT_X"] : AT["WEIGHT_Z"] + 1]
+        m, x = self._scalars, self._views
+        load = rotation.T @ np.array([m.weight_x, m.weight_y, m.weight_z])
         pushed = (x["unfed_of"] @ x["felt"].ravel() - x["carries"] @ load).reshape(-1, 6)
-        bent: Array = np.einsum("kij,kj->ki", x["compliances"], pushed) / max(m.item(AT["STIFFER"]), SOFTEST)
+        bent: Array = np.einsum("kij,kj->ki", x["compliances"], pushed) / max(m.stiffer, SOFTEST)
         return bent
 
     def _noise_seen(self, off: Array, dt: float) -> float:
         """The noise [m, rms], from second differences."""
-        m, x = self._memory, self._views
+        m, x = self._scalars, self._views
         step = off - x["off_last"]
         bend = step - x["off_step"]
         x["off_last"][:], x["off_step"][:] = off, step
-        samples = m[AT["SERVO_SAMPLES"]] = min(m.item(AT["SERVO_SAMPLES"]) + 1.0, NOISE_TIME / dt)
+        samples = m.servo_samples = min(m.servo_samples + 1.0, NOISE_TIME / dt)
         if samples > 2.0:  # the first differences are with nothing
             x["off_noise"] += (np.einsum("ij,ij->i", bend, bend) - x["off_noise"]) / max(samples - 2.0, 1.0)
-        return math.sqrt(largest(x["off_noise"]) / 6.0)
+        return math.sqrt(float(x["off_noise"].max()) / 6.0)

@@ -92,7 +92,7 @@ class StressWatch:
         self._last = commanded
         off = pin.difference(model, measured, commanded) - self._delay * velocity
         self._deflection += (1.0 - keep) * (off - self._deflection)
-        chain.evaluate(measured, about=chain.carried(measured)[0, 3].copy())
+        chain.evaluate(measured, about=chain.carried(measured)[0].translation)
         C, bent = chain.compliances(self._softness), chain.twists(self._deflection)
         wrenches = servo_wrenches(C, bent)
         self.forces = np.linalg.norm(wrenches[:, :3], axis=1)

@@ -39,7 +39,7 @@ from coopqp.native.constants import (
     NOISE_TIME,
     STILL_COMMAND,
 )
-from coopqp.spatial import Array, largest, skew
+from coopqp.spatial import Array, skew
 
 
 def as_number(value: Any) -> float:
@@ -259,7 +259,7 @@ class Supervision:
             out_of_step = drift.followed(apart, told, dt) if rigid else drift.without(apart, noise, told, dt)
         self._count_far(away, self._from_others.dot(away) - (apart - out_of_step), lost)
         spread = np.einsum("ij,ij->i", out_of_step, out_of_step)
-        worst = math.sqrt(largest(spread)) - o.noise_margin * noise
+        worst = math.sqrt(float(spread.max())) - o.noise_margin * noise
         self._quiet = o.noise_margin * noise / math.sqrt(len(away)) + max(worst, 0.0)
         if worst <= o.slow_from or self._samples < FEW_SAMPLES:
             return
@@ -279,7 +279,7 @@ class Supervision:
         A sample that the arm farthest from its command has lost says nothing.
         """
         if not lost[np.einsum("ij,ij->i", away, away).argmax()]:
-            far = largest(np.einsum("ij,ij->i", unfiltered, unfiltered)) >= self._options.fault_from**2
+            far = float(np.einsum("ij,ij->i", unfiltered, unfiltered).max()) >= self._options.fault_from**2
             self._far = self._far + 1 if far else 0
 
     def _noise_seen(self, away: Array, dt: float) -> float:
@@ -291,7 +291,7 @@ class Supervision:
         if self._samples > 2.0:  # the first differences are with nothing
             # With long steps the averaging time holds few samples: the latest then counts for all.
             self._noise += (np.einsum("ij,ij->i", bend, bend) - self._noise) / max(self._samples - 2.0, 1.0)
-        return math.sqrt(largest(self._noise) / 6.0)
+        return math.sqrt(float(self._noise.max()) / 6.0)
 
     def _watch_stall(self, found: Array, told: Array, dt: float, result: Watch, *, rigid: bool) -> None:
         """An arm that stands while another follows has stalled; where none follows, signals may just be late.

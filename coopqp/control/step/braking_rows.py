@@ -23,7 +23,7 @@ from typing import final
 import numpy as np
 
 from coopqp.constraints.velocity import Rows
-from coopqp.model.chain import Chain
+from coopqp.model.chain import Chain, jacobian_slope
 from coopqp.model.limits import BindingLimit, LimitKind
 from coopqp.model.state import CellState
 from coopqp.native.constants import (
@@ -35,7 +35,7 @@ from coopqp.native.constants import (
     GIVES_WAY,
     SINGULAR_MARGIN,
 )
-from coopqp.spatial import Array
+from coopqp.spatial import Array, twist_at
 
 
 @final
@@ -73,13 +73,13 @@ class BrakingRows:
         chain, limits, speed = self._chain, self._chain.cell.limits, np.abs(v)
         chain.evaluate(q, about)
         chain.invert()
-        x, T = self._chain.cell.positions(q), max(float((speed / self._acceleration).max()), h)
-        rooms, away = self._singular_edges(q, about)
-        to_singular, one = self._bounds(-away, rooms, v, h, T), np.eye(len(v))
+        x, T = chain.cell.positions(q), max(float((speed / self._acceleration).max()), h)
+        distances, away = self._singular_edges(q, about)
+        to_singular, one = self._bounds(-away, distances, v, h, T), np.eye(len(v))
         up = self._bounds(one, limits.upper - x, v, h, T)
         down = self._bounds(-one, x - limits.lower, v, h, T)
         bent, bend_bound, joint = self._bend(v, h, T)
-        n, nv = len(rooms), len(v)
+        n, nv = len(distances), len(v)
         G = np.vstack([-away, one, bent])
         upper = np.concatenate([to_singular, up, [bend_bound]])
         lower = np.concatenate([np.full(n, -np.inf), -down, [-np.inf]])
@@ -91,31 +91,32 @@ class BrakingRows:
         return Rows(G[some], lower[some], upper[some], np.full(int(some.sum()), GIVES_WAY), owner[some])
 
     def _singular_edges(self, q: Array, about: Array) -> tuple[Array, Array]:
-        """Rooms of the arms to their singularities (N,), and gradients (N, nv)."""
+        """Distances of the arms to singularity (N,), and their gradients (N, nv)."""
         chain = self._chain
-        rooms, away = np.empty(chain.n_arms), np.zeros((chain.n_arms, chain.nv))
+        distances, away = np.empty(chain.n_arms), np.zeros((chain.n_arms, chain.nv))
         for k, T in enumerate(CellState(chain.cell, q).T_world_tool):
-            columns = chain.moving_columns[k]
-            sigma, away[k, columns] = least_singular_value(moved_to(chain.rows()[columns], T.translation - about))
-            rooms[k] = sigma - SINGULAR_MARGIN
-        return rooms, away
+            at_tool = twist_at(chain.jacobians[k], T.translation - about)
+            sigma, away[k, chain.moving_columns[k]] = least_singular_value(at_tool)
+            distances[k] = sigma - SINGULAR_MARGIN
+        return distances, away
 
-    def _bounds(self, towards: Array, rooms: Array, v: Array, h: float, T: float) -> Array:
-        """Largest ``towards v⁺`` (m,), for edges that come closer at ``towards v`` (m, nv) and have rooms (m,).
+    def _bounds(self, towards: Array, distances: Array, v: Array, h: float, T: float) -> Array:
+        """Largest ``towards v⁺`` (m,), for edges at distances (m,) that come closer at ``towards v`` (m, nv).
 
         An edge that stands still may begin to move: a_e is what the joints' accelerations make of a step from rest.
         """
-        room, s = np.maximum(rooms, 0.0), np.maximum(towards @ v, 0.0)
+        e, s = np.maximum(distances, 0.0), np.maximum(towards @ v, 0.0)
         a = EDGE_SHARE * np.maximum(s, np.abs(towards) @ self._acceleration * h) / T
-        stopping = np.sqrt((a * h) ** 2 + 2.0 * a * room) - a * h
-        gentle = np.minimum(room / max(APPROACH_TIME, APPROACH_STEPS * h), stopping)
+        stopping = np.sqrt((a * h) ** 2 + 2.0 * a * e) - a * h
+        gentle = np.minimum(e / max(APPROACH_TIME, APPROACH_STEPS * h), stopping)
         return np.maximum(gentle, (1.0 - h / T) * s)
 
     def _bend(self, v: Array, h: float, T: float) -> tuple[Array, float, int]:
         """The row by the chain's bend (nv,), its bound, and the joint that needs it."""
         chain = self._chain
-        turning = np.array([bend(chain.rows()[columns], v[columns]) for columns in chain.moving_columns])
-        used = np.abs(chain.joint_velocities(turning, np.empty(chain.nv))) / self._acceleration
+        pairs = zip(chain.jacobians, chain.moving_columns, strict=True)
+        turning = np.array([bend(J, v[columns]) for J, columns in pairs])
+        used = np.abs(chain.joint_velocities(turning)) / self._acceleration
         joint = int(used.argmax())
         row = v * self._metric
         size = math.sqrt(row @ v)
@@ -124,30 +125,17 @@ class BrakingRows:
         return row / size, max(math.sqrt(BEND_SHARE / used[joint]), 1.0 - h / T) * size, joint
 
 
-def moved_to(JT: Array, way: Array) -> Array:
-    """Twists (n, 6) at a point that is ``way`` (3,) [m] further."""
-    return np.hstack([JT[:, :3] + np.cross(JT[:, 3:], way), JT[:, 3:]])
+def least_singular_value(J: Array) -> tuple[float, Array]:
+    """The least singular value σ of an arm's J (6, n) about its tool, and its gradient over the joints (n,).
 
-
-def least_singular_value(JT: Array) -> tuple[float, Array]:
-    """The least singular value σ of J, and its gradient over the joints (n,), from rows of Jᵀ about the tool (n, 6).
-
-    ``∂σ/∂q_j = uᵀ (∂J/∂q_j) w`` with the singular vectors u and w. Joint j turns the twists of the joints after it. The
-    tool, about which twists are taken, moves too: of a joint before j the linear part turns with what j does to it.
+    ``∂σ/∂q_j = uᵀ (∂J/∂q_j) w`` with the singular vectors u and w. That is ``uᵀ J′_j`` with ``J′ = Σ_i w_i ∂_i J``: the
+    two differ by turns of ``J w``, which is σ u.
     """
-    U, s, Vt = np.linalg.svd(JT.T, full_matrices=False)
-    u, w = U[:, -1], Vt[-1]
-    linear, turn = JT[:, :3], JT[:, 3:]
-    before = np.cumsum(w[:, None] * turn, axis=0) - w[:, None] * turn
-    after = (w[:, None] * np.cross(linear, u[:3]))[::-1].cumsum(axis=0)[::-1]
-    spin = w[:, None] * np.cross(turn, u[3:])
-    after += spin[::-1].cumsum(axis=0)[::-1] - spin
-    return float(s[-1]), np.einsum("ij,ij->i", turn, after) + np.einsum("i,ji->j", u[:3], np.cross(before, linear))
+    U, s, Vt = np.linalg.svd(J, full_matrices=False)
+    return float(s[-1]), U[:, -1] @ jacobian_slope(J, Vt[-1])
 
 
-def bend(JT: Array, v: Array) -> Array:
-    """``J̇ v`` (6,) of an arm with rows Jᵀ (n, 6) about a point that moves with the object, and velocities v (n,)."""
-    linear, turn = JT[:, :3], v[:, None] * JT[:, 3:]
-    before = turn.cumsum(axis=0) - turn
-    moved = (v[:, None] * np.cross(2.0 * before + turn, linear)).sum(axis=0)
-    return np.concatenate([moved, np.cross(before, turn).sum(axis=0)])
+def bend(J: Array, v: Array) -> Array:
+    """``J̇ v`` (6,) of an arm with J (6, n) about a point that moves with the object, and velocities v (n,)."""
+    bent: Array = jacobian_slope(J, v) @ v
+    return bent

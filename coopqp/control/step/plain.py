@@ -29,7 +29,7 @@ from coopqp.control.monitoring.watch import Watch
 from coopqp.control.options import QPOptions
 from coopqp.control.step.braking_rows import BrakingRows
 from coopqp.control.step.constraint_set import Constraints
-from coopqp.control.step.linearised import LinearisedAnswer, LinearisedStep, StepInput, averaging
+from coopqp.control.step.linearised import LinearisedAnswer, LinearisedStep, StepInput, mean_error
 from coopqp.control.step.priorities import StepSolver
 from coopqp.control.step.rate_cap import OVERRIDE, RateCap
 from coopqp.control.step.state import LoopState, Observed, Proposal
@@ -71,7 +71,6 @@ class PlainLoop:
         self._chain, self._ahead_chain, self._box = Chain(cell, grasp), Chain(cell, grasp), VelocityBox(cell)
         self._ahead_shift = np.zeros((len(cell), 6))
         self._shares = options.common_error.shares(cell)
-        self._mean = averaging(self._shares)
         self.solver = StepSolver(self._chain, self._box, options)
         self._step = LinearisedStep(self._chain, self._box, self._shares, self.solver, options)
         self._posture = Posture(cell, options.posture)
@@ -241,16 +240,13 @@ class PlainLoop:
         self.reference = pose
         if s.fault:
             watch = Watch(0.0, hold=True, fault=True, arm=s.fault_arm, reason=s.fault, cause=s.fault_cause)
-        poses = carried if measured is None else np.concatenate([carried, self._chain.carried(measured)])
-        errors = self._chain.errors(poses, pose)
-        n = len(carried)
-        seen = Observed(h, pose, carried, errors[:n], watch, lost=lost)
+        seen = Observed(h, pose, carried, self._chain.errors(carried, pose), watch, lost=lost)
         self._watch_chain(seen)
-        seen.measured = self._let_in(seen, measured, errors[n:])
+        seen.measured = self._measured_error(seen, measured)
         gain = min(self.options.path_gain, 1.0 / h)
         servos, held = supervision.servos, seen.watch.hold and seen.watch.cause is not Cause.CONTACT
         if servos is not None and servos.backs and not held and gain > 0.0:
-            way = servos.way_back(pose.rotation, self._mean.dot(seen.errors.ravel()), h)
+            way = servos.way_back(pose.rotation, self._mean(seen.errors), h)
             seen.measured = way / -gain
         return seen
 
@@ -278,8 +274,11 @@ class PlainLoop:
         elif not watch.reason:
             watch.reason = reason
 
-    def _let_in(self, seen: Observed, measured: Array | None, errors: Array) -> Array | None:
-        """The object's error for the path correction, from those as measured; None to use the commanded one.
+    def _mean(self, errors: Array) -> Array:
+        return mean_error(self._shares, errors)
+
+    def _measured_error(self, seen: Observed, measured: Array | None) -> Array | None:
+        """The object's error (6,) for the path correction, with the measured one; None for the commanded one.
 
         It is the commanded error plus the further measured error, which fades in slowly. The correction shrinks as the
         arms get out of step, and vanishes while they hold: the measured error of an arm that does not move would lead
@@ -287,25 +286,24 @@ class PlainLoop:
         """
         s, watch = self.state, seen.watch
         if measured is not None:
-            away = errors - seen.errors
+            away = self._chain.errors(self._chain.carried(measured), seen.pose) - seen.errors
             drift = np.zeros(6) if s.drift is None else s.drift
-            s.drift = drift + seen.h / (seen.h + self.options.measurement_time) * (self._mean.dot(away.ravel()) - drift)
+            s.drift = drift + seen.h / (seen.h + self.options.measurement_time) * (self._mean(away) - drift)
             twist = self._twist(seen.carried[0])
             watch.lower(self._supervision.watch(measured, s.q, away, seen.h, s.v, seen.pose.rotation, twist))
         servos = self._supervision.servos
         corrects = 1.0 if servos is None else servos.corrects  # arms that mind forces relax first
         if watch.hold or (s.drift is None and corrects == 1.0):
             return np.zeros(6) if watch.hold else None
-        measured_error = self._mean.dot(seen.errors.ravel()) + (0.0 if s.drift is None else s.drift)
+        measured_error = self._mean(seen.errors) + (0.0 if s.drift is None else s.drift)
         error: Array = corrects * watch.rate_cap * measured_error
         return error
 
-    def _twist(self, carried: Array) -> Array:
+    def _twist(self, now: pin.SE3) -> Array:
         """The twist of the object in the last step as commanded, in its own frame (6,) [m/s, rad/s]."""
         s = self.state
         before = self._chain.carried(self.cell.moved(s.q, -s.last_dt * s.v))[0]
-        now, last = (pin.SE3(O[:3].T, O[3]) for O in (carried, before))
-        twist: Array = np.asarray(pin.log6(last.actInv(now)).vector) / s.last_dt
+        twist: Array = np.asarray(pin.log6(before.actInv(now)).vector) / s.last_dt
         return twist
 
     # -- propose ---------------------------------------------------------------------------------------------------
@@ -343,7 +341,7 @@ class PlainLoop:
             else:
                 along = np.asarray(pin.log6(seen.pose.actInv(ahead)).vector) / span
         if self._brakes_together:
-            further = further.and_also(self._braking.rows(s.q, s.v, h, seen.carried[0, 3]))
+            further = further.and_also(self._braking.rows(s.q, s.v, h, seen.carried[0].translation))
         null_along, null_offset = self._wishes(span, hold=seen.watch.hold)
         asked = None if s.predicted is None else s.asked_shift
         given = StepInput(
@@ -379,7 +377,7 @@ class PlainLoop:
     def _brake_correction(self, keep: float, seen: Observed) -> Array:
         """The error that the path correction sees, limited so that the correction is ``keep`` of the last one."""
         s = self.state
-        error = self._mean.dot(seen.errors.ravel()) if seen.measured is None else seen.measured.copy()
+        error = self._mean(seen.errors) if seen.measured is None else seen.measured.copy()
         for part in (slice(0, 3), slice(3, 6)):
             now = self.options.path_gain * float(np.linalg.norm(error[part]))
             allowed = 0.0 if s.correcting is None else keep * float(np.linalg.norm(s.correcting[part]))
@@ -480,7 +478,9 @@ class PlainLoop:
         s.mismatch = expected(seen.apart.mismatch, proposal.given.asked if found.makes_up else None, found.closes)
         s.started, s.asked_shift, s.chain_held = True, None, seen.apart.holds
         s.v_before, s.v, s.q = found.stand_in, v, step.q_next
-        s.rate_slope, s.rate, s.clock = (rate - s.rate) / h, rate, clock_next
+        # A start sets the rate, and where no acceleration is limited the first step may leave it by a jump: no slope.
+        jumped = s.first and not self._box.accelerates
+        s.rate_slope, s.rate, s.clock = 0.0 if jumped else (rate - s.rate) / h, rate, clock_next
         s.last_dt, s.first, s.status = h, False, status
         s.reins.advance(self.options.blocked_rate, self._rate_cap.slope * h)
         return step

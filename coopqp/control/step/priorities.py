@@ -1,8 +1,9 @@
-"""The ranked answer of one step: nominal, fastest rate on the path, QP, QP whose chain may part, brake."""
+"""The answer of one step by priority: nominal, fastest rate on the path, QP, QP whose chain may part, brake."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+import itertools
+from dataclasses import dataclass, field, replace
 from typing import final
 
 import numpy as np
@@ -18,16 +19,13 @@ from coopqp.native.constants import AT_LIMIT, LIMIT_TOLERANCE, RESIDUE_TOLERANCE
 from coopqp.solvers.base import QpSolver
 from coopqp.solvers.choice import default_solver, make_solver
 from coopqp.solvers.problem import QpProblem, QpSolution, SolverStatus
-from coopqp.spatial import Array, largest
+from coopqp.spatial import Array
 
 #: Cost of joint velocities in the second attempt at a chain that may part [1/(rad/s)²].
 _CALM = 1e-4
 
 #: Bisections of a share.
 _BISECTIONS = 40
-
-_ZERO6 = np.zeros(6)
-_ZERO6.flags.writeable = False
 
 
 def _ask(solver: QpSolver, problem: QpProblem) -> QpSolution:
@@ -74,7 +72,7 @@ class StepAnswer:
     rate: float
     grasp_share: float = 1.0
     path_share: float = 1.0
-    off_path: Array = field(default_factory=lambda: _ZERO6)
+    off_path: Array = field(default_factory=lambda: np.zeros(6))
     chain: float = 0.0
     active: tuple[Active, ...] = ()
     report: SolverReport = NO_SOLVE
@@ -100,17 +98,12 @@ class StepSolver:
 
     def answer(self, terms: StepTerms, v_prev: Array, h: float, further: Rows) -> StepAnswer:
         """The best admissible command; never fails."""
-        box = self._box
-        inside = self._options.shortcut and not box.any_outside
-        if inside and not self._chain.singular:
-            found = self._nominal(terms, further)
-            if found is not None:
-                return found
-        pieces = self.program.pieces(terms)
-        if inside:
-            found = self._on_path(terms, pieces, further)
-            if found is not None:
-                return found
+        box, pieces = self._box, self.program.pieces(terms)
+        if self._options.shortcut and not box.any_outside:
+            shortcut = None if self._chain.singular else self._nominal(terms, pieces, further)
+            shortcut = shortcut or self._fastest_on_path(terms, pieces, further)
+            if shortcut is not None:
+                return shortcut
         solved, report = self._solve(terms, pieces, further)
         if solved is None:
             return self._brake(terms, v_prev, h, further, report)
@@ -129,46 +122,34 @@ class StepSolver:
         self, base: Array, columns: Array, unit: Array, cap: float, further: Rows
     ) -> tuple[Array | None, SolverReport]:
         """x of the condensed QP that the core has filled in, in the core's units; None without a usable answer."""
-        problem = self.program.fill(base, columns, self._box, further)
-        self.program.set_bounds(6, cap)
+        problem = self.program.least_distance(base, columns, self._box, further, rate_cap=cap)
         solution = _ask(self._solver, problem)
         return (solution.x[: unit.size] if solution.usable else None), self._report(solution, self._solver)
 
-    def _nominal(self, terms: StepTerms, further: Rows) -> StepAnswer | None:
+    def _nominal(self, terms: StepTerms, pieces: Pieces, further: Rows) -> StepAnswer | None:
         """Full corrections at the cap, if that is admissible."""
-        chain, box, cap = self._chain, self._box, terms.rate_cap
-        v = chain.joint_velocities(terms.twists(cap), np.zeros(chain.nv))
-        if terms.null_along is not None:
-            v += cap * terms.null_along
-        if terms.null_offset is not None:
-            v += terms.null_offset
-        excess = largest(np.maximum(v - box.upper, box.lower - v))
+        box, v = self._box, pieces.command(terms.rate_cap)
+        excess = np.maximum(v - box.upper, box.lower - v).max()
         if not excess <= LIMIT_TOLERANCE or not _keeps(further, v, LIMIT_TOLERANCE):
             return None
-        return StepAnswer(np.clip(v, box.lower, box.upper) if excess > 0.0 else v, cap, exact=True)
+        return StepAnswer(np.clip(v, box.lower, box.upper), terms.rate_cap, exact=True)
 
-    def _on_path(self, terms: StepTerms, pieces: Pieces, further: Rows) -> StepAnswer | None:
-        """Full corrections at the fastest admissible rate, up to the cap; None if no rate is admissible."""
+    def _fastest_on_path(self, terms: StepTerms, pieces: Pieces, further: Rows) -> StepAnswer | None:
+        """Rate line search: full corrections at the fastest admissible rate, up to the cap; None if none is."""
         box, cap = self._box, terms.rate_cap
-        base, along, lower, upper = pieces.fixed + pieces.grasp + pieces.path, pieces.along, box.lower, box.upper
-        if len(further):
-            base, along = np.concatenate([base, further.G @ base]), np.concatenate([along, further.G @ along])
-            lower, upper = np.concatenate([lower, further.lower]), np.concatenate([upper, further.upper])
-        found = rate_interval(base, along, lower, upper)
-        if found is None:
+        along = np.concatenate([pieces.along, further.G @ pieces.along])
+        interval = _rates(pieces.command(0.0), pieces.along, box, further)
+        if interval is None:
             return None
-        low, high, row = found
+        low, high, row = interval
         if not (high >= max(low, 0.0) and low <= 1.0):
             return None
-        rate = max(cap, low)
-        active: tuple[Active, ...] = ()
-        if high < cap:
-            rate = high
-            active = ((row, 1.0 if along[row] > 0.0 else -1.0),)
-        v = (base + rate * along)[: box.lower.size]
+        rate = high if high < cap else max(cap, low)
+        v = pieces.command(rate)
         clipped = np.clip(v, box.lower, box.upper)
-        if not largest(np.abs(v - clipped)) <= 2.0 * LIMIT_TOLERANCE or not _keeps(further, v, 10.0 * LIMIT_TOLERANCE):
+        if not np.abs(v - clipped).max() <= 2.0 * LIMIT_TOLERANCE or not _keeps(further, v, 10.0 * LIMIT_TOLERANCE):
             return None
+        active: tuple[Active, ...] = ((row, 1.0 if along[row] > 0.0 else -1.0),) if high < cap else ()
         return StepAnswer(clipped, rate, active=active, exact=True)
 
     def _solve(self, terms: StepTerms, pieces: Pieces, further: Rows) -> tuple[Answer | None, SolverReport]:
@@ -202,15 +183,11 @@ class StepSolver:
         answer = program.read_full(relaxed.x, terms)
         if not self._believable(answer.velocity):
             return None, report
-        parting = program.parting(answer, terms)
-        return Answer(
-            answer.velocity, answer.rate, answer.grasp_share, answer.path_share, answer.off_path, parting
-        ), report
+        return replace(answer, chain=program.parting(answer, terms)), report
 
     def _believable(self, v: Array) -> bool:
         """Finite, and inside the box but for the solver's residue (a NaN fails the comparison)."""
-        excess = np.maximum(v - self._box.upper, self._box.lower - v)
-        return bool(excess[excess.argmax()] <= RESIDUE_TOLERANCE)
+        return bool(np.maximum(v - self._box.upper, self._box.lower - v).max() <= RESIDUE_TOLERANCE)
 
     @staticmethod
     def _report(solution: QpSolution, solver: QpSolver) -> SolverReport:
@@ -233,35 +210,27 @@ class StepSolver:
         box, chain, metric = self._box, self._chain, self.program.metric
         why = f"{report.status}: {report.message}" if report.message else report.status
         reason = f"the QP has no usable answer ({why}); braking"
-        offsets, grasp = (
-            chain.joint_velocities(twists @ terms.to_world.T, np.empty(chain.nv))
-            for twists in (terms.offsets, terms.grasp_corrections)
-        )
+        twists = terms.offsets, terms.grasp_corrections
+        offsets, grasp = (chain.joint_velocities(w @ terms.to_world.T) for w in twists)
         object_twist = chain.twists(v_prev).mean(axis=0)
-        present = np.linalg.solve(terms.to_world, object_twist)
+        present = terms.to_world.T @ object_twist
         length = float(terms.along @ (metric * terms.along))
         rate = max(float(terms.along @ (metric * present)) / length, 0.0) if length > 0.0 else 0.0
-        ways = chain.joint_columns(np.column_stack([rate * (terms.to_world @ terms.along), object_twist]))
-        ways += chain.null_part(v_prev)[:, None]
+        motions = chain.joint_columns(np.column_stack([rate * (terms.to_world @ terms.along), object_twist])).T
+        motions = motions + chain.null_part(v_prev)
         soft, hard = further.only(further.soft > 0.0), further.only(further.soft == 0.0)
-        for kept in (hard, further.only(np.zeros(len(further), dtype=bool))) if len(hard) else (hard,):
-            best: tuple[float, Array, float] | None = None
-            lower, upper = np.concatenate([box.lower, kept.lower]), np.concatenate([box.upper, kept.upper])
-            for along in ways.T:
-                for base in (offsets + grasp, offsets):
-                    rows = np.concatenate([base, kept.G @ base]), np.concatenate([along, kept.G @ along])
-                    interval = rate_interval(*rows, lower, upper)
-                    if interval is None or not interval[1] >= max(interval[0], 0.0):
-                        continue
-                    share, broken = _least_broken(soft, base, along, max(interval[0], 0.0), interval[1])
-                    if best is None or broken < best[0]:
-                        best = broken, np.clip(base + share * along, box.lower, box.upper), min(share * rate, 1.0)
-                    if broken == 0.0:
-                        break
-                if best is not None and best[0] == 0.0:
-                    break
-            if best is not None:
-                return StepAnswer(best[1], best[2], 0.0, 0.0, report=report, braked=True, reason=reason)
+        for kept in (hard, further.only(np.zeros(len(further), dtype=bool))):
+            candidates = []
+            for motion, base in itertools.product(motions, (offsets + grasp, offsets)):
+                interval = _rates(base, motion, box, kept)
+                if interval is None or not interval[1] >= max(interval[0], 0.0):
+                    continue
+                share, broken = _least_broken(soft, base, motion, max(interval[0], 0.0), interval[1])
+                v = np.clip(base + share * motion, box.lower, box.upper)
+                candidates.append((broken, StepAnswer(v, min(share * rate, 1.0))))
+            if candidates:
+                best = min(candidates, key=lambda candidate: candidate[0])[1]  # the first of equals
+                return replace(best, grasp_share=0.0, path_share=0.0, report=report, braked=True, reason=reason)
         share = _least_broken(further, np.zeros(chain.nv), v_prev, self._slowdown(v_prev, h), 1.0)[0]
         v = np.clip(v_prev * share, box.lower, box.upper)
         return StepAnswer(v, 0.0, 0.0, 0.0, report=report, braked=True, reason=reason)
@@ -277,37 +246,37 @@ class StepSolver:
 
     def _active(self, v: Array, further: Rows) -> tuple[Active, ...]:
         """The limits at which a QP's answer stands, and the rows that it had to break."""
-        box = self._box
-        above, below = v - box.upper, box.lower - v
-        if len(further):
-            Gv = further.G @ v
-            above = np.concatenate([above, Gv - further.upper])
-            below = np.concatenate([below, further.lower - Gv])
-        room = np.maximum(above, below)
-        if room[room.argmax()] < -AT_LIMIT:
-            return ()
-        broken = np.arange(room.size) >= v.size  # a further row that gave way
+        Gv = further.G @ v
+        above = np.concatenate([v - self._box.upper, Gv - further.upper])
+        below = np.concatenate([self._box.lower - v, further.lower - Gv])
+        may_break = np.arange(above.size) >= v.size
         return tuple(
             (int(row), sign)
             for sign, excess in ((1.0, above), (-1.0, below))
-            for row in np.flatnonzero((np.abs(excess) <= AT_LIMIT) | (broken & (excess > 0.0)))
+            for row in np.flatnonzero((np.abs(excess) <= AT_LIMIT) | (may_break & (excess > 0.0)))
         )
 
 
 def _keeps(further: Rows, v: Array, tolerance: float) -> bool:
-    if not len(further):
-        return True
     Gv = further.G @ v
     return bool(((Gv <= further.upper + tolerance) & (Gv >= further.lower - tolerance)).all())
 
 
+def _rates(base: Array, motion: Array, box: VelocityBox, further: Rows) -> tuple[float, float, int] | None:
+    """Shares σ of ``motion`` with which ``base + σ motion`` keeps bounds and rows: see :func:`rate_interval`."""
+    return rate_interval(
+        np.concatenate([base, further.G @ base]),
+        np.concatenate([motion, further.G @ motion]),
+        np.concatenate([box.lower, further.lower]),
+        np.concatenate([box.upper, further.upper]),
+    )
+
+
 def _least_broken(further: Rows, base: Array, along: Array, low: float, high: float) -> tuple[float, float]:
-    """The share σ from ``low`` on, up to 1 or ``low``, with which ``base + σ along`` breaks rows least, and how much.
+    """The share σ in [low, max(low, min(high, 1))] with which ``base + σ along`` breaks rows least, and by how much.
 
     If several shares break none, the smallest.
     """
-    if not len(further):
-        return low, 0.0
     at, slope = further.G @ base, further.G @ along
     # Rows as a − σ b ≤ 0; the largest is a convex function of σ.
     a, b = np.concatenate([further.lower - at, at - further.upper]), np.concatenate([slope, -slope])

@@ -80,7 +80,7 @@ class Observed:
     Attributes:
         h: length of the step [s].
         pose: the object's reference.
-        carried, errors: the object as each arm carries it, as commanded (N, 4, 3), and its errors (N, 6).
+        carried, errors: poses of the object as each arm carries it, as commanded, and its errors (N, 6).
         watch: result of the supervision.
         apart: how far the commands lead the arms apart.
         measured: the object's measured error (6,); None for the commanded one.
@@ -89,7 +89,7 @@ class Observed:
 
     h: float
     pose: pin.SE3
-    carried: Array
+    carried: list[pin.SE3]
     errors: Array
     watch: Watch = field(default_factory=Watch)
     apart: Apart = field(default_factory=Apart)

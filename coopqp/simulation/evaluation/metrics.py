@@ -16,7 +16,7 @@ from coopqp.model.cell import RobotCell
 from coopqp.model.grasp import Grasp
 from coopqp.model.state import workspace
 from coopqp.paths.path import ObjectPath
-from coopqp.spatial import Array, cross_last
+from coopqp.spatial import Array, cross
 
 #: Smaller errors [mm or deg] are rounding: texts say "below" instead of a number.
 ROUNDING = 1e-9
@@ -94,7 +94,7 @@ def tools_and_jacobians(cell: RobotCell, configurations: Array) -> tuple[Array, 
     T = _tools(cell, configurations, compute)
     twists = np.ascontiguousarray(J.transpose(0, 2, 1))  # at the world's origin
     points = T[:, :, :3, 3].repeat([own.stop - own.start for own in cell.v_slices], axis=1)
-    twists[..., :3] += cross_last(twists[..., 3:], points)
+    twists[..., :3] += cross(twists[..., 3:], points)
     return T, twists
 
 

@@ -27,7 +27,7 @@ from coopqp.paths.path import ObjectPath
 from coopqp.simulation.evaluation.assessment import Tolerances
 from coopqp.simulation.evaluation.blocks import Block, faults_of, recorded_block, sound_steps
 from coopqp.simulation.evaluation.closeness import Closeness
-from coopqp.simulation.evaluation.object_gaps import ObjectGaps
+from coopqp.simulation.evaluation.object_gaps import object_gaps
 from coopqp.simulation.evaluation.readings import check_recording
 from coopqp.simulation.evaluation.violations import Verdict, Violation, ViolationKind, Worst
 from coopqp.simulation.evaluation.wrench_bounds import WrenchBounds, excesses
@@ -86,7 +86,7 @@ class Monitor:
             self.tolerances = replace(COMMANDED, **(tolerances or {}))
         self._keep, self._kinematics = keep, kinematics
         self._shape_q, self._shape_v = (cell.nq,), (cell.nv,)
-        self._gaps = ObjectGaps(cell, grasp)
+        self._second = np.triu_indices(len(cell), 1)[1]  # of each pair of two arms
         limits = cell.limits
         self._lower, self._upper = np.array(limits.lower), np.array(limits.upper)
         self._speed, self._acceleration = np.array(limits.velocity), np.array(limits.acceleration)
@@ -277,25 +277,17 @@ class Monitor:
         loads = read_loads(self.cell, r)
         if loads is None:
             return
-        for t, j in np.argwhere(loads.torque_use > 1.0):
-            arm, _, joint = self.cell.joint_names[j].partition("/")
-            excess = float(loads.torque_use[t, j] - 1.0)
-            self._add(
-                Violation(ViolationKind.TORQUE, int(t), float(loads.time[t]), arm, joint, excess, "share of the limit")
-            )
-        squeezed = loads.internal > loads.internal_limit
-        squeezed[: loads.moves] = False
-        for t, k in np.argwhere(squeezed):
-            excess = float(loads.internal[t, k] - loads.internal_limit)
-            self._add(
-                Violation(ViolationKind.SQUEEZE, int(t), float(loads.time[t]), self.cell.arm_names[k], "", excess, "N")
-            )
-        if loads.palm_use is None:
-            return
-        for t, k in np.argwhere(loads.palm_use[loads.moves :] > 1.0):
-            step, arm = int(t) + loads.moves, self.cell.arm_names[k]
-            excess, unit = float(loads.palm_use[step, k] - 1.0), "share of the friction"
-            self._add(Violation(ViolationKind.FRICTION, step, float(loads.time[step]), arm, "", excess, unit))
+        arms = [(name, "") for name in self.cell.arm_names]
+        moving = np.arange(len(loads.time))[:, None] >= loads.moves
+        palms = np.zeros_like(loads.internal) if loads.palm_use is None else loads.palm_use
+        for kind, excess, owners, unit in (
+            (ViolationKind.TORQUE, loads.torque_use - 1.0, self._names, "share of the limit"),
+            (ViolationKind.SQUEEZE, np.where(moving, loads.internal - loads.internal_limit, 0.0), arms, "N"),
+            (ViolationKind.FRICTION, np.where(moving, palms - 1.0, 0.0), arms, "share of the friction"),
+        ):
+            for t, k in np.argwhere(excess > 0.0):
+                arm, joint = owners[k]
+                self._add(Violation(kind, int(t), float(loads.time[t]), arm, joint, float(excess[t, k]), unit))
 
     def _judge(self, block: Block) -> None:
         steps = len(block.dt)
@@ -393,8 +385,8 @@ class Monitor:
 
     def _judge_object(self, block: Block, ends: Array) -> None:
         t = self.tolerances
-        chain = len(self._gaps.first) - len(self.cell)  # first the pairs of two arms, then each arm and the path
-        distance, angle = self._gaps.of(block.q_next, block.reference, block.shift)
+        chain = len(self._second)
+        distance, angle = object_gaps(self.cell, self.grasp, block.q_next, block.reference, block.shift)
         for kind, values, allowed, unit in (
             (ViolationKind.CHAIN, distance[:, :chain], 1e-3 * t.chain_mm, "m"),
             (ViolationKind.CHAIN, angle[:, :chain], math.radians(t.chain_deg), "rad"),
@@ -409,7 +401,7 @@ class Monitor:
                 continue
             worst = values.argmax(axis=1)
             for i in np.flatnonzero(~(values.max(axis=1) <= allowed)):
-                k = self._gaps.second[worst[i]] if kind is ViolationKind.CHAIN else worst[i]
+                k = self._second[worst[i]] if kind is ViolationKind.CHAIN else worst[i]
                 amount = float(values[i, worst[i]] - allowed)
                 arm = self.cell.arm_names[int(k)]
                 self._add(Violation(kind, self._steps + int(i), float(ends[i]), arm, "", amount, f"[{unit}]"))

@@ -1,72 +1,32 @@
-"""Distances between the object poses of any two arms, and from each to the path: by Pinocchio's frames only."""
+"""Distances between the object poses of any two arms, and from each to the path."""
 
 from __future__ import annotations
 
-from typing import final
-
 import numpy as np
-import pinocchio as pin
 
 from coopqp.model.cell import RobotCell
 from coopqp.model.grasp import Grasp
+from coopqp.simulation.evaluation import metrics
 from coopqp.spatial import Array
 
 #: Number of pairs of placements that are compared at once; bounds the memory.
 _LARGEST_TABLE = 200_000
 
 
-@final
-class ObjectGaps:
-    """Distances and angles between object poses.
+def object_gaps(cell: RobotCell, grasp: Grasp, q: Array, reference: Array, shift: Array | None) -> tuple[Array, Array]:
+    """Distances [m] and angles [rad] (T, P + N): first of the P pairs of two arms, then of each arm and the path.
 
     Args:
         cell, grasp: the arms, and how they hold.
-
-    Attributes:
-        first, second: indices of the arms of each pair; N stands for the path. The pairs with the path come last.
+        q: configurations (T, nq).
+        reference: poses of the path (T, 4, 4).
+        shift: motion of the grasps (T, N, 6) [m, rad]; None where they stay.
     """
-
-    def __init__(self, cell: RobotCell, grasp: Grasp) -> None:
-        self.cell, self._data = cell, cell.model.createData()
-        self._inverse_grasp = np.array([X.inverse().homogeneous for X in grasp.T_object_tool])
-        n = len(cell)
-        first, second = np.triu_indices(n, 1)
-        self.first, self.second = np.append(first, np.arange(n)), np.append(second, np.full(n, n))
-
-    def of(self, q: Array, reference: Array, shift: Array | None) -> tuple[Array, Array]:
-        """Distances [m] and angles [rad] (T, pairs) at configurations (T, nq).
-
-        Args:
-            q: configurations (T, nq).
-            reference: poses of the path (T, 4, 4).
-            shift: motion of the grasps (T, N, 6) [m, rad]; None where they stay.
-        """
-        pairs = len(self.first)
-        steps, n = len(q), len(self.cell)
-        distance, angle = np.empty((steps, pairs)), np.empty((steps, pairs))
-        T = np.empty((steps, n + 1, 4, 4))
-        T[:, :n] = self._carried(q)
-        if shift is not None:
-            T[:, :n] = T[:, :n] @ np.array([[pin.exp6(-d).homogeneous for d in row] for row in shift])
-        T[:, n] = reference
-        rows = max(1, _LARGEST_TABLE // pairs)
-        for start in range(0, steps, rows):
-            part = T[start : start + rows]
-            D = part[:, self.first] - part[:, self.second]
-            np.sqrt(np.einsum("tpi,tpi->tp", D[..., :3, 3], D[..., :3, 3]), out=distance[start : start + rows])
-            # ‖A − B‖ = 2√2 sin(θ/2) is accurate near 0
-            half = np.sqrt(np.einsum("tpij,tpij->tp", D[..., :3, :3], D[..., :3, :3]) / 8.0)
-            angle[start : start + rows] = 2.0 * np.arcsin(np.minimum(half, 1.0))
-        return distance, angle
-
-    def _carried(self, q: Array) -> Array:
-        """Object pose according to each arm, placements (T, N, 4, 4)."""
-        cell, data = self.cell, self._data
-        frames = cell.tool_frames
-        T = np.empty((len(q), len(frames), 4, 4))
-        for i, configuration in enumerate(q):
-            pin.framesForwardKinematics(cell.model, data, configuration)
-            for k, f in enumerate(frames):
-                T[i, k] = data.oMf[f].homogeneous
-        carried: Array = T @ self._inverse_grasp
-        return carried
+    poses = metrics.object_poses(metrics.without_shift(metrics.tool_matrices(cell, q), grasp, shift), grasp)
+    rows = max(1, _LARGEST_TABLE // (len(cell) * (len(cell) + 1) // 2))
+    found = []
+    for part in (slice(start, start + rows) for start in range(0, len(q), rows)):
+        pairs = zip(metrics.gaps(poses[part]), metrics.errors_from(poses[part], reference[part]), strict=True)
+        found.append([np.hstack(both) for both in pairs])
+    distance, angle = (np.vstack(parts) for parts in zip(*found, strict=True))
+    return distance, angle

@@ -7,7 +7,7 @@ collisions, no joint stops and no torque limits: the controller has to respect t
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import Any
 
 import numpy as np
@@ -99,10 +99,7 @@ def build_spec(
 
     box = _add_body(spec.worldbody, OBJECT, pin.SE3.Identity())
     box.add_freejoint(name=OBJECT)
-    x, y, z = object_size
-    inertia = object_mass / 12.0 * np.array([y * y + z * z, x * x + z * z, x * x + y * y])
-    _set_inertia(box, pin.Inertia(object_mass, T_object_body.translation,
-                                  T_object_body.rotation @ np.diag(inertia) @ T_object_body.rotation.T))  # fmt: skip
+    _set_inertia(box, T_object_body.act(pin.Inertia.FromBox(object_mass, *object_size)))
     _add_geom(box, mujoco.mjtGeom.mjGEOM_BOX, 0.5 * object_size, T_object_body, (0.30, 0.52, 0.75, 1.0))
 
     if palms is not None:
@@ -240,20 +237,16 @@ def _add_geom(body: Any, kind: Any, size: Any, T: pin.SE3, rgba: tuple[float, ..
 
 def _add_shape(mujoco: Any, body: Any, item: pin.GeometryObject) -> None:
     """Add a primitive visual shape. Other shapes are left out."""
-    shape, kind, size = item.geometry, None, []
-    name = type(shape).__name__
-    if name == "Box":
-        kind, size = mujoco.mjtGeom.mjGEOM_BOX, list(shape.halfSide)
-    elif name == "Sphere":
-        kind, size = mujoco.mjtGeom.mjGEOM_SPHERE, [shape.radius]
-    elif name == "Cylinder":
-        kind, size = mujoco.mjtGeom.mjGEOM_CYLINDER, [shape.radius, shape.halfLength]
-    elif name == "Capsule":
-        kind, size = mujoco.mjtGeom.mjGEOM_CAPSULE, [shape.radius, shape.halfLength]
-    elif name == "Ellipsoid":
-        kind, size = mujoco.mjtGeom.mjGEOM_ELLIPSOID, list(shape.radii)
-    if kind is not None:
-        _add_geom(body, kind, size, item.placement, tuple(float(c) for c in item.meshColor))
+    shape, kinds = item.geometry, mujoco.mjtGeom
+    read: dict[str, tuple[Any, Callable[[], list[float]]]] = {
+        "Box": (kinds.mjGEOM_BOX, lambda: list(shape.halfSide)),
+        "Sphere": (kinds.mjGEOM_SPHERE, lambda: [shape.radius]),
+        "Cylinder": (kinds.mjGEOM_CYLINDER, lambda: [shape.radius, shape.halfLength]),
+        "Capsule": (kinds.mjGEOM_CAPSULE, lambda: [shape.radius, shape.halfLength]),
+        "Ellipsoid": (kinds.mjGEOM_ELLIPSOID, lambda: list(shape.radii)),
+    }
+    if found := read.get(type(shape).__name__):
+        _add_geom(body, found[0], found[1](), item.placement, tuple(float(c) for c in item.meshColor))
 
 
 def quaternion(R: Array) -> Array:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Any, final
 
@@ -96,31 +95,19 @@ def recorded_motion(cell: RobotCell, recording: Recording, *, interpolation: Int
     Raises:
         InvalidInputError: the clock never advances, so q is not a function of it.
     """
+    from scipy.interpolate import CubicHermiteSpline, make_interp_spline  # takes long to import
+
     clock = np.asarray(recording.clock)
     moves = np.concatenate([[True], np.diff(clock) > 0.0])  # leave commands at rest out
-    knots, q = clock[moves], np.asarray(recording.q_command)[moves]
+    knots, x = clock[moves], cell.positions(np.asarray(recording.q_command)[moves])
     if len(knots) < 2:
         raise InvalidInputError("the clock never advances", "recorded_motion", "Give a recording that moves.")
-    spans = np.diff(knots)
-    means = np.array([pin.difference(cell.model, a, b) for a, b in itertools.pairwise(q)]) / spans[:, None]
-    slopes = np.empty((len(knots), cell.nv))
-    if len(knots) > 2:
-        share = (spans[:-1] / (spans[:-1] + spans[1:]))[:, None]
-        slopes[1:-1] = (1.0 - share) * means[:-1] + share * means[1:]
-        slopes[0], slopes[-1] = 2.0 * means[0] - slopes[1], 2.0 * means[-1] - slopes[-2]
+    x[:, cell.continuous] = np.unwrap(x[:, cell.continuous], axis=0)
+    if interpolation == "cubic":
+        along = CubicHermiteSpline(knots, x, np.gradient(x, knots, axis=0, edge_order=2 if len(knots) > 2 else 1))
     else:
-        slopes[:] = means
-
-    def motion(tau: float) -> Array:
-        i = int(np.clip(np.searchsorted(knots, tau, side="right") - 1, 0, len(spans) - 1))
-        h = spans[i]
-        s = float(np.clip((tau - knots[i]) / h, 0.0, 1.0))
-        step = s * h * means[i]
-        if interpolation == "cubic":
-            step = step + h * s * (1.0 - s) * ((1.0 - s) * (slopes[i] - means[i]) - s * (slopes[i + 1] - means[i]))
-        return np.asarray(pin.integrate(cell.model, q[i], step))
-
-    return motion
+        along = make_interp_spline(knots, x, k=1)
+    return lambda tau: cell.configuration(along(np.clip(tau, knots[0], knots[-1])))
 
 
 def exact_motion(cell: RobotCell, grasp: Grasp, path: ObjectPath, q_start: Any) -> Motion:
