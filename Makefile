@@ -25,7 +25,7 @@ $(VENV)/.installed: pyproject.toml CMakeLists.txt $(wildcard coopqp/native/*.cpp
 demo: $(VENV)/.installed
 	$(BIN)/coopqp demo --force --out $(OUT)
 
-# After every edit: lint and types, and beside them every test that is not marked slow, properties with a fifth of their
+# After every edit: lint and types, and beside them every test that is not marked slow, properties with a tenth of their
 # examples.
 # pytest --durations 20 -m "not slow" shows what deserves the mark.
 check: $(VENV)/.installed

@@ -27,8 +27,7 @@ from coopqp import Grasp, RobotCell, WaypointPath  # noqa: E402
 from coopqp.native import available_kernels  # noqa: E402
 from coopqp.output import write_files  # noqa: E402
 from coopqp.paths import TimeLaw  # noqa: E402
-from coopqp.scenarios import Scenario  # noqa: E402
-from coopqp.scenarios import ring as coopqp_ring  # noqa: E402
+from coopqp.scenarios import Scenario, ring as coopqp_ring  # noqa: E402
 from coopqp.spatial import Array  # noqa: E402
 
 #: One flat record of results. Each script defines its keys.

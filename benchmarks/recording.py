@@ -29,7 +29,7 @@ from common import Record
 from coopqp import QPController, Recording, WaypointPath, simulate
 from coopqp.files import write_bag, write_csv
 from coopqp.scenarios import paper_lift
-from coopqp.simulation import check_run, judge, read_run
+from coopqp.simulation import check_run, evaluate, read_run
 from coopqp.visualization import write_report
 
 KEYS = ("stage", "steps", "arms", "memory_MB", "target_MB", "cpu_s", "file_MB", "good")
@@ -90,7 +90,7 @@ def judged(file: Path, steps: int) -> bool:
     """Load, and judge by both: the verdict of a report, and the independent monitor."""
     run = Recording.load(file)
     cell = run.cell(shapes=False)
-    findings = judge(cell, run, read_run(cell, run))
+    findings = evaluate(cell, run, read_run(cell, run))
     return all(finding.holds for finding in findings) and check_run(run, cell).ok
 
 

@@ -57,6 +57,19 @@ def attach(
     return get_or_say, all_listed, public
 
 
+def needed(module: str, extra: str, package: str) -> Any:
+    """A module of a package that an extra brings.
+
+    Raises:
+        MissingExtraError: it is not installed.
+    """
+    try:
+        __import__(module)
+    except ImportError as error:
+        raise MissingExtraError(extra, package) from error
+    return sys.modules[module]
+
+
 def _imports(frame: Any) -> bool:
     """The frame is at ``from package import name``, which would replace the message of an AttributeError."""
     import dis  # late: it imports much

@@ -48,10 +48,12 @@ def check_file(file: Path) -> None:
     check_folder(file.parent)
 
 
-def check_new(file: Path, *, force: bool = False) -> None:
-    """As :func:`check_file`; also raise OutputError if ``file`` exists, unless ``force``."""
-    check_file(file)
-    check_unused([file], force=force)
+def check_new(*files: Path | None, force: bool = False) -> None:
+    """As :func:`check_file` for each file that is given; also raise OutputError if it exists, unless ``force``."""
+    for file in files:
+        if file is not None:
+            check_file(file)
+            check_unused([file], force=force)
 
 
 def check_unused(files: Iterable[Path], *, force: bool = False) -> None:

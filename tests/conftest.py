@@ -1,6 +1,6 @@
 """Shared fixtures: Hypothesis profiles, cells that take time to build, and seeded random data.
 
-Profiles: ``ci`` (default, always the same examples), ``check`` (a fifth of the examples), ``nightly`` (ten times as
+Profiles: ``ci`` (default, always the same examples), ``check`` (a tenth of the examples), ``nightly`` (ten times as
 many examples, new ones every time) and ``mutation`` (as ``ci``, but a failure is not made smaller: that takes long).
 The variable HYPOTHESIS_PROFILE or ``pytest --hypothesis-profile`` selects the profile. A module that needs more
 examples multiplies the profile's number, so the nightly run grows by the same factor.
@@ -21,9 +21,9 @@ import numpy as np
 import pinocchio as pin
 import pytest
 from hypothesis import HealthCheck, Phase, settings
+from runs import of_the_paper
 
 from coopqp import Arm, Recording, RobotCell, simulate
-from coopqp.baselines import PseudoInverseController, PseudoInverseOptions
 from coopqp.scenarios import ROBOTS, Scenario, paper_lift, robot_path
 
 pytest_plugins = ["catalogue"]  # tests/reliability/catalogue.py, whose table ends every run
@@ -39,7 +39,7 @@ settings.register_profile(
 settings.register_profile(
     "nightly", parent=settings.get_profile("ci"), max_examples=2000, derandomize=False, print_blob=True
 )
-settings.register_profile("check", parent=settings.get_profile("ci"), max_examples=40)
+settings.register_profile("check", parent=settings.get_profile("ci"), max_examples=20)
 settings.register_profile("mutation", parent=settings.get_profile("ci"), phases=[Phase.explicit, Phase.generate])
 settings.load_profile(os.environ.get("HYPOTHESIS_PROFILE", "ci"))
 
@@ -93,6 +93,12 @@ def paper() -> Scenario:
     return paper_lift()
 
 
+@pytest.fixture(scope="session")
+def lift() -> Scenario:
+    """The paper's lift, from rest to rest."""
+    return paper_lift(time_law="quintic")
+
+
 @functools.cache
 def _robot(robot: str) -> Arm:
     return Arm.from_urdf(robot, robot_path(robot), tool_frame=ROBOTS[robot].tool_frame, geometry=False)
@@ -138,13 +144,6 @@ def baseline(paper: Scenario) -> Callable[..., Recording]:
 
     @functools.cache
     def run(steps: int, **options: Any) -> Recording:
-        controller = PseudoInverseController(
-            paper.cell,
-            paper.grasp,
-            paper.path,
-            dt=paper.path.duration / steps,
-            options=PseudoInverseOptions(**options),
-        )
-        return simulate(controller, q_start=paper.q_start)
+        return simulate(of_the_paper(paper, steps, **options), q_start=paper.q_start)
 
     return run

@@ -1,10 +1,11 @@
 """Mutation testing: would a test fail if the code said something else?  ``make mutation``, or ``mutation.py --help``.
 
 Places are sampled in each package and in the C code. At each, one change is made (``mutants/python.py``,
-``mutants/c.py``) in a copy of the tree, and tests run until one fails. Which ones: those that execute the line, the
-quickest and the most particular first, up to a number of seconds. The map of lines and tests is measured once, with
-coverage.py, and kept (``--map``; remove the file after larger changes); what a test does in another process is not in
-it. A mutant of C is compiled and meets the quick tests marked ``core``, those first that killed the most until then.
+``mutants/c.py``) in a copy of the tree, and tests run until one fails. Which ones: those in the folder that is named
+like the package, then those of the packages that import it; of both those that execute the line, the quickest and the
+most particular first, up to a number of seconds. The map of lines and tests is measured once, with coverage.py, and
+kept (``--map``; remove the file after larger changes); what a test does in another process is not in it. A mutant of C
+is compiled and meets the quick tests marked ``core``, those first that killed the most until then.
 
 A mutant that survives lacks a test, or is equivalent: then ``mutants/equivalent.py`` says why. A mutant that makes the
 tests run for ever is killed by its share of processor time, which another program's work does not use up.
@@ -30,10 +31,13 @@ from typing import Any
 from mutants import c, python
 from mutants.copies import ROOT, Copy
 from mutants.equivalent import ANY, EQUIVALENT
-from mutants.reach import Reach, in_functions
+from mutants.reach import Reach, folders_of, in_functions
 
 #: What is sampled: a package, or the C code of all of them.
-GROUPS = ("control", "planning", "model", "paths", "collision", "forces", "studies", "files", "simulation", "C")
+GROUPS = (
+    "control", "planning", "model", "paths", "constraints", "solvers", "baselines", "collision", "forces", "studies",
+    "files", "simulation", "C",
+)  # fmt: skip
 #: Tests of the compiled code.
 CORE = "core and not slow"
 
@@ -123,9 +127,12 @@ class Trial:
             return killer
         source = (self._copy.folder / mutant.module).read_text(encoding="utf-8")
         line = source.splitlines()[mutant.line - 1] if mutant.line in in_functions(source) else ""
-        tests = self._reach.tests(mutant.module, line, self._seconds)
         marks = () if self._slow else ("-m", "not slow")
-        return self._copy.killer(tests, *marks, limit=int(60 + 6 * self._seconds))
+        for folders in folders_of(mutant.group):
+            tests = self._reach.tests(mutant.module, line, self._seconds, folders)
+            if killer := self._copy.killer(tests, *marks, limit=int(60 + 6 * self._seconds)):
+                return killer
+        return ""
 
 
 def report(mutants: list[Mutant]) -> float:
@@ -149,7 +156,7 @@ def main() -> int:
     parser.add_argument("--seed", type=int, default=1, help="choice of the mutants (default 1)")
     parser.add_argument("--only", nargs="+", choices=GROUPS, metavar="GROUP", default=GROUPS, help="default all")
     parser.add_argument("--least", type=float, default=0.9, help="share to be killed in each group (default 0.9)")
-    parser.add_argument("--seconds", type=float, default=20.0, help="of tests that a mutant meets (default 20)")
+    parser.add_argument("--seconds", type=float, default=20.0, help="of tests that a mutant meets, twice (default 20)")
     parser.add_argument("--slow", action="store_true", help="tests marked slow, too")
     default = ROOT / "out" / "mutation_map.json"
     parser.add_argument("--map", type=Path, default=default, help="which test executes which line: made if missing")
@@ -179,11 +186,11 @@ def main() -> int:
     mutants = [m for m in mutants if m.key not in known]
     print(f"{len(tested)} were killed before or are equivalent, {len(mutants)} are left", flush=True)
     files = sorted(str(f.relative_to(ROOT)) for f in (ROOT / "tests").rglob("test_*.py") if f.parent.name != "browser")
+    asked = tuple(folder for group in args.only if group != "C" for line in folders_of(group) for folder in line)
     with tempfile.TemporaryDirectory() as folder:
         copy, reach = Copy(Path(folder) / "tree"), Reach.of(args.map)
-        if set(args.only) != {"C"}:
-            for mark in ("not slow", "slow") if args.slow else ("not slow",):
-                reach.measure(copy, files, mark, args.map)
+        for mark in ("not slow", "slow") if args.slow else ("not slow",):
+            reach.measure(copy, [f for f in files if f.startswith(asked)], mark, args.map)
         core = [f for f in files if "mark.core" in (ROOT / f).read_text(encoding="utf-8")]
         if "C" in args.only and (killer := copy.killer(core, "-m", CORE, limit=3600)):
             print(f"without any mutation {killer} fails")

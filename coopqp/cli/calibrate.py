@@ -7,7 +7,7 @@ import math
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from coopqp.cli.terminal import print_written, reporter
+from coopqp.cli.terminal import add_command, print_written, reporter
 from coopqp.errors import UnreachableError, printable
 
 if TYPE_CHECKING:
@@ -19,8 +19,11 @@ _OK = 0
 
 def add_calibrate(commands: Any) -> None:
     """Add the parser of ``coopqp calibrate``."""
-    parser = commands.add_parser(
+    parser = add_command(
+        commands,
         "calibrate",
+        run_calibrate,
+        force="what is there",
         help="calibrate bases and grips from gripped runs",
         description="Find the base placements and grips that close the chain at the measured configurations of runs in "
         "which all arms held one rigid object, and write the corrected cell file. No sensor is needed but the arms' "
@@ -37,9 +40,6 @@ def add_calibrate(commands: Any) -> None:
     )
     parser.add_argument("--picture", type=Path, metavar="FILE", help="also draw the loop residual before and after")
     parser.add_argument("--json", type=Path, metavar="FILE", help="also write the figures as JSON")
-    parser.add_argument("--force", action="store_true", help="overwrite what is there")
-    parser.add_argument("--quiet", action="store_true", help="print errors only")
-    parser.set_defaults(run=run_calibrate)
 
 
 def run_calibrate(arguments: argparse.Namespace) -> int:
@@ -56,9 +56,7 @@ def run_calibrate(arguments: argparse.Namespace) -> int:
         raise CellFileError(f"--out {arguments.out}: a cell file is written in TOML. Give a name that ends in .toml.")
     if arguments.picture is not None:
         require_matplotlib()
-    for file in (arguments.out, arguments.picture, arguments.json):
-        if file is not None:
-            check_new(file, force=arguments.force)
+    check_new(arguments.out, arguments.picture, arguments.json, force=arguments.force)
     from coopqp.files.cellfile.calibrated import calibrated_text, settings_of
 
     options = {} if arguments.encoder_noise is None else {"encoder_noise": arguments.encoder_noise}

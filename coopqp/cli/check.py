@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 import argparse
-import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-from coopqp.cli.terminal import Reporter, print_table, print_written, reporter
+from coopqp.cli.terminal import Reporter, add_command, print_table, print_written, reporter, say
 from coopqp.errors import UnknownNameError, UnreachableError, printable
 
 if TYPE_CHECKING:
@@ -27,8 +26,11 @@ _PICTURE = "check.png"
 
 
 def _add_check(commands: Any) -> None:
-    parser = commands.add_parser(
+    parser = add_command(
+        commands,
         "check",
+        _run_check,
+        force="what is there",
         help="prove before the motion that the arms can follow the path",
         description="Prove or disprove that the arms can follow the path inside their position limits, away from "
         "singularities and, with a collision scene, with all margins kept; from the start of the cell or from any "
@@ -45,17 +47,18 @@ def _add_check(commands: Any) -> None:
     parser.add_argument(
         "--out", type=Path, metavar="DIR", help=f"also draw margins and σ_min along the path: DIR/{_PICTURE}"
     )
-    parser.add_argument("--force", action="store_true", help="overwrite what is there")
-    parser.add_argument("--quiet", action="store_true", help="print errors only")
-    parser.set_defaults(run=_run_check)
 
 
 def _run_check(arguments: argparse.Namespace) -> int:
+    from coopqp.output import check_new
     from coopqp.planning import PathVerdict
     from coopqp.planning.remedies import with_remedies
+    from coopqp.visualization.style import require_matplotlib
 
     picture = None if arguments.out is None else arguments.out / _PICTURE
-    _check_outputs(arguments.json, picture, force=arguments.force)
+    if picture is not None:
+        require_matplotlib()
+    check_new(arguments.json, picture, force=arguments.force)
     with reporter(quiet=arguments.quiet) as report:
         task = _task(arguments.cell)
         check = _look(task, report, any_start=arguments.any_start)
@@ -70,7 +73,7 @@ def _run_check(arguments: argparse.Namespace) -> int:
     if check.feasible:
         return _FOLLOWS
     if arguments.quiet:
-        print("coopqp:", printable(check.explain().splitlines()[0]), file=sys.stderr)
+        say(check.explain().splitlines()[0])
     return _CANNOT if check.verdict is PathVerdict.INFEASIBLE else _UNDECIDED
 
 
@@ -147,19 +150,6 @@ def glance_at(name: str, report: Reporter) -> tuple[Glance, str]:
     return glance(task.name, check, task.box, task.scene), _unjudged(check, task.box)
 
 
-def _check_outputs(record: Path | None, picture: Path | None, *, force: bool) -> None:
-    """Refuse what cannot be written, before any work is done."""
-    from coopqp.output import check_new
-
-    if picture is not None:
-        from coopqp.visualization.style import require_matplotlib
-
-        require_matplotlib()
-    for file in (record, picture):
-        if file is not None:
-            check_new(file, force=force)
-
-
 def _write(check: PathCheck, record: Path | None, picture: Path | None) -> list[Path]:
     from coopqp.output import json_bytes, write_files
 
@@ -171,7 +161,7 @@ def _write(check: PathCheck, record: Path | None, picture: Path | None) -> list[
         from coopqp.visualization.style import figure_bytes
 
         contents[picture] = figure_bytes(check_figure(check), dpi=110)
-    return write_files(contents) if contents else []
+    return write_files(contents)
 
 
 def _print(check: PathCheck, told: str, *, branches: bool) -> None:

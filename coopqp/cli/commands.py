@@ -14,7 +14,19 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from coopqp.cli.planning import add_plan
-from coopqp.cli.terminal import BOLD, GREEN, RED, Reporter, print_hints, print_table, print_written, reporter, styled
+from coopqp.cli.terminal import (
+    BOLD,
+    GREEN,
+    RED,
+    Reporter,
+    add_command,
+    print_hints,
+    print_table,
+    print_written,
+    reporter,
+    say,
+    styled,
+)
 from coopqp.errors import CoopqpError, TooCloseError, UnreachableError, cause_of, printable
 
 if TYPE_CHECKING:
@@ -31,8 +43,11 @@ _RUN_HELP = "a recording (.npz), a cell file (.toml, .yaml) or the name of a sce
 
 
 def _add_run(commands: Any) -> None:
-    parser = commands.add_parser(
+    parser = add_command(
+        commands,
         "run",
+        _run_run,
+        force="an earlier run in the folder",
         help="run a cell file (TOML or YAML) or a scenario",
         description="Run a scenario or a cell file, print its figures and verdict, and write what is asked for.",
         epilog="`coopqp schema` prints every key of a cell file. Exit status: 0 if the run finished and every check of "
@@ -42,7 +57,6 @@ def _add_run(commands: Any) -> None:
     )
     parser.add_argument("cell", type=Path, metavar="CELL", help="the cell file, TOML or YAML; or a scenario's name")
     parser.add_argument("--out", type=Path, metavar="DIR", help="folder of what is written: any folder (out/NAME)")
-    parser.add_argument("--force", action="store_true", help="overwrite an earlier run in the folder")
     for product, text in (
         ("report", "the report (HTML)"),
         ("plots", "the pictures (PNG)"),
@@ -52,14 +66,12 @@ def _add_run(commands: Any) -> None:
     ):
         parser.add_argument(f"--{product}", action="store_true", help=f"also write {text}")
     parser.add_argument("--view", action="store_true", help="then show the run in the browser")
-    parser.add_argument("--quiet", action="store_true", help="print errors only")
-    parser.set_defaults(run=_run_run)
 
 
 def _run_run(arguments: argparse.Namespace) -> int:
     from coopqp.cli import runs
     from coopqp.scenarios import SCENARIOS
-    from coopqp.simulation.evaluation.assessment import judge, why
+    from coopqp.simulation.evaluation.assessment import evaluate, why
     from coopqp.simulation.evaluation.figures import run_figures
     from coopqp.simulation.evaluation.readings import read_run
 
@@ -100,14 +112,14 @@ def _run_run(arguments: argparse.Namespace) -> int:
         files = runs.write_products(recording, folder, products, tell=report.note, force=arguments.force)
     cell = recording.cell(shapes=False)
     readings = read_run(cell, recording)
-    findings = judge(cell, recording, readings)
+    findings = evaluate(cell, recording, readings)
     if not arguments.quiet:
         _print_run(run_figures(cell, recording, readings), findings)
-        print_written(files, apart=True)
+    print_written(files, apart=True, quiet=arguments.quiet)
     causes = why(findings)
     if causes:
-        sys.stdout.flush()
-        print(*(f"coopqp: failed: {printable(line)}" for line in causes), sep="\n", file=sys.stderr, flush=True)
+        for line in causes:
+            say("failed:", line)
         _offer(recording)
     if arguments.view:
         _serve(recording, quiet=arguments.quiet)
@@ -138,11 +150,10 @@ def _draw_refused(arguments: argparse.Namespace) -> None:
             report.note("drawing the cell")
             files = write_files({folder / _REFUSED: figure_bytes(glance_figure(found), dpi=110)})
     except CoopqpError as error:  # the refusal itself is told by the caller
-        print("coopqp: no picture:", printable(" ".join(str(error).split())), file=sys.stderr)
+        say("no picture:", error)
         return
-    if not arguments.quiet:
-        print_written(files)
-        sys.stdout.flush()
+    print_written(files, quiet=arguments.quiet)
+    sys.stdout.flush()
 
 
 def _offer(recording: Recording) -> None:
@@ -214,8 +225,11 @@ def _run_schema(arguments: argparse.Namespace) -> int:
 
 
 def _add_view(commands: Any) -> None:
-    parser = commands.add_parser(
+    parser = add_command(
+        commands,
         "view",
+        _run_view,
+        force="an earlier page",
         help="show a cell or a run in the browser",
         description="Show a recording in 3D, in the browser, with play, pause and scrub. Of a cell file or a scenario "
         "show the start, the path, the reach of the arms and the result of `coopqp check`, with a button that runs it. "
@@ -224,13 +238,10 @@ def _add_view(commands: Any) -> None:
     parser.add_argument("what", metavar="WHAT", help=_RUN_HELP)
     parser.add_argument("--run", dest="run_it", action="store_true", help="run a cell at once, and show its run")
     parser.add_argument("--html", type=Path, metavar="FILE", help="write one page that opens offline, and end")
-    parser.add_argument("--force", action="store_true", help="overwrite an earlier page")
     parser.add_argument("--port", type=int, default=8080, metavar="N", help="port (8080; 0 for any that is free)")
     parser.add_argument("--no-open", action="store_true", help="do not open the browser")
     parser.add_argument("--sticks", action="store_true", help="draw the arms as sticks, without their shapes")
     _add_meshes(parser)
-    parser.add_argument("--quiet", action="store_true", help="print errors only")
-    parser.set_defaults(run=_run_view)
 
 
 def _run_view(arguments: argparse.Namespace) -> int:
@@ -238,19 +249,13 @@ def _run_view(arguments: argparse.Namespace) -> int:
     from coopqp.visualization.viewer import export_html, require_viser
 
     require_viser()
-    if arguments.html is not None:
-        check_new(arguments.html, force=arguments.force)
+    check_new(arguments.html, force=arguments.force)
     if not arguments.run_it and _is_cell(arguments.what):
         return _view_cell(arguments)
     recording = _obtain(arguments.what, quiet=arguments.quiet, meshes=arguments.meshes)
     if arguments.html is None:
-        _serve(
-            recording,
-            port=arguments.port,
-            sticks=arguments.sticks,
-            browser=not arguments.no_open,
-            quiet=arguments.quiet,
-        )
+        browser = not arguments.no_open
+        _serve(recording, port=arguments.port, sticks=arguments.sticks, browser=browser, quiet=arguments.quiet)
         return _OK
     with reporter(quiet=arguments.quiet) as report:
         page = export_html(
@@ -259,8 +264,7 @@ def _run_view(arguments: argparse.Namespace) -> int:
             sticks=arguments.sticks,
             progress=lambda done, total: report.step("the pictures of the page", done, total),
         )
-    if not arguments.quiet:
-        print_written([page])
+    print_written([page], quiet=arguments.quiet)
     return _OK
 
 
@@ -282,19 +286,12 @@ def _view_cell(arguments: argparse.Namespace) -> int:
         found, more = glance_at(arguments.what, report)
     if arguments.html is not None:
         page = export_glance(found, arguments.html, more=more, sticks=arguments.sticks)
-        if not arguments.quiet:
-            print_written([page])
+        print_written([page], quiet=arguments.quiet)
         return _OK
-
-    def run(progress: ProgressCallback) -> Recording:
-        return obtain_run(arguments.what, progress=progress)
-
-    _keep_serving(
-        CellViewer(found, run, more=more, port=arguments.port, sticks=arguments.sticks),
-        "the cell",
-        browser=not arguments.no_open,
-        quiet=arguments.quiet,
+    viewer = CellViewer(
+        found, functools.partial(obtain_run, arguments.what), more=more, port=arguments.port, sticks=arguments.sticks
     )
+    _keep_serving(viewer, "the cell", browser=not arguments.no_open, quiet=arguments.quiet)
     return _OK
 
 
@@ -340,14 +337,16 @@ def _keep_serving(opened: LiveViewer, what: str, *, browser: bool, quiet: bool) 
 
 
 def _add_report(commands: Any) -> None:
-    parser = commands.add_parser(
+    parser = add_command(
+        commands,
         "report",
+        _run_report,
+        force="an earlier report",
         help="write the report of a run (HTML)",
         description="Write the report of a run: one page with verdict, figures, plots and settings that opens offline.",
     )
     parser.add_argument("what", metavar="RUN", help=_RUN_HELP)
     parser.add_argument("--out", type=Path, metavar="FILE", help="the page (NAME_report.html, beside a recording)")
-    parser.add_argument("--force", action="store_true", help="overwrite an earlier report")
     _add_meshes(parser)
     for name, unit, text in (
         ("chain-mm", "MM", "chain error (0.1)"),
@@ -357,8 +356,6 @@ def _add_report(commands: Any) -> None:
     ):
         parser.add_argument(f"--{name}", type=float, metavar=unit, help=f"tolerance: {text}")
     parser.epilog = "Without these options the tolerances of the run's cell file hold."
-    parser.add_argument("--quiet", action="store_true", help="print errors only")
-    parser.set_defaults(run=_run_report)
 
 
 def _run_report(arguments: argparse.Namespace) -> int:
@@ -381,8 +378,7 @@ def _run_report(arguments: argparse.Namespace) -> int:
     with reporter(quiet=arguments.quiet) as report:
         tolerances = replace(Tolerances.of(recording), **asked)
         write_report(recording, page, tolerances=tolerances, progress=report.note)
-    if not arguments.quiet:
-        print_written([page])
+    print_written([page], quiet=arguments.quiet)
     return _OK
 
 
@@ -390,8 +386,11 @@ def _run_report(arguments: argparse.Namespace) -> int:
 
 
 def _add_export(commands: Any) -> None:
-    parser = commands.add_parser(
+    parser = add_command(
+        commands,
         "export",
+        _run_export,
+        force="an existing table or recording",
         help="write a run as CSV, ROS 2 bag or recording",
         description="Write a run as a CSV table, a ROS 2 bag (MCAP) or a recording.",
     )
@@ -399,9 +398,6 @@ def _add_export(commands: Any) -> None:
     parser.add_argument("--csv", type=Path, metavar="FILE", help="a table, one row per sample; - for stdout")
     parser.add_argument("--bag", type=Path, metavar="DIR", help="a bag of joint states and trajectories; a new folder")
     parser.add_argument("--npz", type=Path, metavar="FILE", help="a recording, to be shown and reported later")
-    parser.add_argument("--force", action="store_true", help="overwrite an existing table or recording")
-    parser.add_argument("--quiet", action="store_true", help="print errors only")
-    parser.set_defaults(run=_run_export)
 
 
 def _run_export(arguments: argparse.Namespace) -> int:
@@ -414,9 +410,7 @@ def _run_export(arguments: argparse.Namespace) -> int:
     to_stdout = arguments.csv == Path("-")
     if arguments.csv is None and arguments.bag is None and arguments.npz is None:
         raise CoopqpError("nothing to write: give --csv, --bag or --npz.")
-    for file in (None if to_stdout else arguments.csv, arguments.npz):
-        if file is not None:
-            check_new(file, force=arguments.force)
+    check_new(None if to_stdout else arguments.csv, arguments.npz, force=arguments.force)
     recording = _obtain(arguments.what, quiet=arguments.quiet, meshes=None)
     files = []
     if arguments.npz is not None:
@@ -427,8 +421,7 @@ def _run_export(arguments: argparse.Namespace) -> int:
         files.append(write_csv(recording, arguments.csv))
     if arguments.bag is not None:
         files.append(write_bag(recording, arguments.bag))
-    if not arguments.quiet and not to_stdout:
-        print_written(files)
+    print_written(files, quiet=arguments.quiet or to_stdout)
     return _OK
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -16,7 +15,7 @@ from coopqp.control.interface import NO_SOLVE, Controller, ControlStep
 from coopqp.control.options import QPOptions
 from coopqp.control.qp import QPController
 from coopqp.errors import InvalidInputError, UnknownNameError
-from coopqp.output import write_files
+from coopqp.output import json_bytes, write_files
 from coopqp.scenarios import Scenario
 from coopqp.simulation.evaluation import metrics
 from coopqp.simulation.evaluation.assessment import Tolerances
@@ -168,11 +167,6 @@ def run_demo(
     return [run_method(scenario, m, n, solver=solver, progress=progress) for m in METHODS for n in counts]
 
 
-def records_json(runs: Sequence[DemoRun]) -> bytes:
-    """The records as JSON."""
-    return (json.dumps([run.record() for run in runs], indent=1, allow_nan=False) + "\n").encode()
-
-
 def demo_pictures(scenario: Scenario, runs: Sequence[DemoRun]) -> dict[str, bytes]:
     """The pictures by file name: the lift, Figure 5, ε_o, and the joints of the QP run with the most steps."""
     cell = scenario.cell
@@ -203,5 +197,5 @@ def write_demo(
     if folder is not None:
         contents = {Path(folder) / name: content for name, content in demo_pictures(scenario, runs).items()}
     if json_file is not None:
-        contents[Path(json_file)] = records_json(runs)
+        contents[Path(json_file)] = json_bytes([run.record() for run in runs])
     return write_files(contents)

@@ -14,8 +14,8 @@ from typing import TYPE_CHECKING, Any, NoReturn
 
 from coopqp.cli import calibrate, check, sensors, studies
 from coopqp.cli.commands import COMMANDS
-from coopqp.cli.terminal import print_hints, print_table, print_written, reporter
-from coopqp.errors import CoopqpError, MissingExtraError, UndecidedError, UnreachableError, cause_of, printable
+from coopqp.cli.terminal import add_command, print_hints, print_table, print_written, reporter, say
+from coopqp.errors import CoopqpError, MissingExtraError, UndecidedError, UnreachableError, cause_of
 
 if TYPE_CHECKING:
     from coopqp.cli.demo import DemoRun
@@ -73,7 +73,7 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 def _show_warning(message: Any, category: type[Warning], *where: Any, **more: Any) -> None:
     """One line, as errors are printed; where in the code a warning came from is no news to a user."""
-    print("coopqp: warning:", printable(" ".join(str(message).split())), file=sys.stderr)
+    say("warning:", message)
 
 
 def _ask_about_units(arguments: argparse.Namespace) -> None:
@@ -110,7 +110,7 @@ def _main(argv: Sequence[str] | None) -> int:
         status = run(arguments)
         sys.stdout.flush()
     except CoopqpError as error:
-        print("coopqp: error:", printable(" ".join(str(error).split())), file=sys.stderr)
+        say("error:", error)
         return _status_of(error)
     except BrokenPipeError:  # the reader has closed the pipe, as in `coopqp demo | head`
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
@@ -122,8 +122,11 @@ def _main(argv: Sequence[str] | None) -> int:
 
 
 def _add_demo(commands: Any) -> None:
-    parser = commands.add_parser(
+    parser = add_command(
+        commands,
         "demo",
+        _run_demo,
+        force="what is there",
         help="run the paper's three-arm lift by every method",
         description="Run the paper's three-arm lift by the pseudo-inverse and its variants and by the QP, and draw it.",
     )
@@ -135,9 +138,6 @@ def _add_demo(commands: Any) -> None:
     )
     parser.add_argument("--out", type=Path, metavar="DIR", help="folder (out/demo; a used one gets a number)")
     parser.add_argument("--json", type=Path, metavar="FILE", help="also write the figures of every run as JSON")
-    parser.add_argument("--force", action="store_true", help="overwrite what is there")
-    parser.add_argument("--quiet", action="store_true", help="print errors only")
-    parser.set_defaults(run=_run_demo)
 
 
 def _run_demo(arguments: argparse.Namespace) -> int:
@@ -176,8 +176,7 @@ def _run_demo(arguments: argparse.Namespace) -> int:
         _print_table(runs)
         print_written(files, apart=True)
     if missing:
-        sys.stdout.flush()
-        print(f"coopqp: no pictures: {missing}", file=sys.stderr)
+        say("no pictures:", missing)
     return OK
 
 

@@ -4,12 +4,11 @@ from __future__ import annotations
 
 import argparse
 import math
-import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from coopqp.cli.terminal import print_table, print_written, reporter
-from coopqp.errors import CoopqpError, UndecidedError, UnreachableError, printable
+from coopqp.cli.terminal import add_command, print_table, print_written, reporter, say
+from coopqp.errors import CoopqpError, UndecidedError, UnreachableError, cause_of, printable
 
 if TYPE_CHECKING:
     from coopqp.collision.scene import CollisionScene
@@ -26,8 +25,11 @@ _MOST_LIMITS = 8
 
 def add_plan(commands: Any) -> None:
     """Add the parser of ``coopqp plan``."""
-    parser = commands.add_parser(
+    parser = add_command(
+        commands,
         "plan",
+        run_plan,
+        force="an earlier plan in the folder",
         help="time-optimal motion along the path of a cell file",
         description="Find a start and the time-optimal motion along the path of a cell file under the joints' velocity "
         "and acceleration limits, from rest to rest. Write it as a cell file that `coopqp run` takes as it is, and "
@@ -38,7 +40,6 @@ def add_plan(commands: Any) -> None:
     )
     parser.add_argument("cell", type=Path, metavar="CELL", help="the cell file, TOML or YAML")
     parser.add_argument("--out", type=Path, metavar="DIR", required=True, help="folder of plan.toml and speed.png")
-    parser.add_argument("--force", action="store_true", help="overwrite an earlier plan in the folder")
     parser.add_argument("--share", type=float, default=None, metavar="S", help="share of the limits to use (0.98)")
     parser.add_argument(
         "--blend-mm", type=float, default=0.0, metavar="MM", help="round corners off within this distance (0: rest)"
@@ -51,8 +52,6 @@ def add_plan(commands: Any) -> None:
     parser.add_argument(
         "--starts", type=int, default=1, metavar="N", help="compare N starts of each arm by time (file without start)"
     )
-    parser.add_argument("--quiet", action="store_true", help="print errors only")
-    parser.set_defaults(run=run_plan)
 
 
 def run_plan(arguments: argparse.Namespace) -> int:
@@ -60,18 +59,13 @@ def run_plan(arguments: argparse.Namespace) -> int:
     try:
         return _run(arguments)
     except UndecidedError as error:
-        return _say(error, _UNDECIDED)
-    except UnreachableError as error:
-        return _say(error, _INFEASIBLE)
+        say("no plan:", error)
+        return _UNDECIDED
     except CoopqpError as error:
-        if isinstance(error.__cause__, UnreachableError):  # with the name of the file
-            return _say(error, _INFEASIBLE)
-        raise
-
-
-def _say(error: CoopqpError, status: int) -> int:
-    print("coopqp: no plan:", printable(" ".join(str(error).split())), file=sys.stderr)
-    return status
+        if not cause_of(error, UnreachableError):
+            raise
+        say("no plan:", error)
+        return _INFEASIBLE
 
 
 def _run(arguments: argparse.Namespace) -> int:

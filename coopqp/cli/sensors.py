@@ -6,7 +6,7 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from coopqp.cli.terminal import print_table, print_written, reporter
+from coopqp.cli.terminal import add_command, print_table, print_written, reporter
 from coopqp.errors import printable
 
 if TYPE_CHECKING:
@@ -19,8 +19,11 @@ _OK, _WRONG = 0, 4
 
 def add_sensors(commands: Any) -> None:
     """Add the parser of ``coopqp sensors``."""
-    parser = commands.add_parser(
+    parser = add_command(
+        commands,
         "sensors",
+        run_sensors,
+        force="what is there",
         help="identify the wrist sensors by presses in the engine",
         description="Let the arms press each other a little while they hold the object at rest, in the engine, and "
         "find for each wrist sensor the arm, axes, sign, gain, bias and delay.",
@@ -31,9 +34,6 @@ def add_sensors(commands: Any) -> None:
     parser.add_argument("cell", type=Path, metavar="CELL", help="cell file (.toml or .yaml)")
     parser.add_argument("--out", type=Path, metavar="CELL2", help="the cell file with the sensors (.toml)")
     parser.add_argument("--json", type=Path, metavar="FILE", help="also write the figures as JSON")
-    parser.add_argument("--force", action="store_true", help="overwrite what is there")
-    parser.add_argument("--quiet", action="store_true", help="print errors only")
-    parser.set_defaults(run=run_sensors)
 
 
 def run_sensors(arguments: argparse.Namespace) -> int:
@@ -44,9 +44,7 @@ def run_sensors(arguments: argparse.Namespace) -> int:
 
     if arguments.out is not None and arguments.out.suffix != ".toml":
         raise CellFileError(f"--out {arguments.out}: a cell file is written in TOML. Give a name that ends in .toml.")
-    for file in (arguments.out, arguments.json):
-        if file is not None:
-            check_new(file, force=arguments.force)
+    check_new(arguments.out, arguments.json, force=arguments.force)
     run = load_cell_file(arguments.cell)
     with reporter(quiet=arguments.quiet) as report:
         report.note("pressing the arms against each other")
@@ -57,7 +55,7 @@ def run_sensors(arguments: argparse.Namespace) -> int:
             contents[arguments.out] = text.encode()
         if arguments.json is not None:
             contents[arguments.json] = json_bytes(_record(found))
-        files = write_files(contents) if contents else []
+        files = write_files(contents)
     if not arguments.quiet:
         _say(found, wanted=arguments.out is not None)
         print_written(files)

@@ -3,12 +3,10 @@
 from __future__ import annotations
 
 import argparse
-import sys
-from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from coopqp.cli.terminal import print_table, print_written, reporter
+from coopqp.cli.terminal import add_command, print_table, print_written, reporter, say
 from coopqp.errors import printable
 
 if TYPE_CHECKING:
@@ -21,19 +19,8 @@ _PICTURE = "runs.png"
 _MOST_REASONS = 5
 
 
-def _parser(
-    commands: Any, name: str, run: Callable[[argparse.Namespace], int], **texts: str
-) -> argparse.ArgumentParser:
-    """The parser of a subcommand that takes a study file."""
-    parser: argparse.ArgumentParser = commands.add_parser(name, **texts)
-    parser.add_argument("study", type=Path, metavar="STUDY", help="the study file, TOML or YAML")
-    parser.add_argument("--quiet", action="store_true", help="print errors only")
-    parser.set_defaults(run=run)
-    return parser
-
-
 def _add_sweep(commands: Any) -> None:
-    parser = _parser(
+    parser = add_command(
         commands,
         "sweep",
         _run_sweep,
@@ -43,6 +30,7 @@ def _add_sweep(commands: Any) -> None:
         epilog="Exit status: 0 if every row is there; 4 if rows failed or were lost (column `outcome`), or if workers "
         "or disk could not go on (then --resume); 2 for a bad study; 130 for Ctrl-C (then --resume).",
     )
+    parser.add_argument("study", type=Path, metavar="STUDY", help="the study file, TOML or YAML")
     where = parser.add_mutually_exclusive_group()
     where.add_argument("--workers", type=int, metavar="N", help="worker processes on this machine (one per core)")
     where.add_argument("--cluster", metavar="ADDRESS", help="scheduler of a Dask cluster, as tcp://host:8786")
@@ -81,7 +69,7 @@ def _run_sweep(arguments: argparse.Namespace) -> int:
         except (EngineError, OutputError) as error:
             if not began:
                 raise
-            _say(f"error: {error}")
+            say("error:", error)
             return _ROWS_FAILED
         files = list(made.files)
         if not missing:
@@ -92,12 +80,8 @@ def _run_sweep(arguments: argparse.Namespace) -> int:
     if not arguments.quiet:
         _print(made, files)
     if missing:
-        print(f"coopqp: no picture: {missing}", file=sys.stderr)
+        say("no picture:", missing)
     return _OK if made.complete else _ROWS_FAILED
-
-
-def _say(text: str) -> None:
-    print("coopqp:", printable(" ".join(text.split())), file=sys.stderr)
 
 
 def _print(made: Sweep, files: list[Path]) -> None:
@@ -120,19 +104,20 @@ _MAP, _RECORD, _MAP_PICTURE = "map.csv", "place.json", "map.png"
 
 
 def _add_place(commands: Any) -> None:
-    parser = _parser(
+    parser = add_command(
         commands,
         "place",
         _run_place,
+        force="what is there",
         help="map or search places of the bases of a cell",
         description="Evaluate places of the bases: whether each arm follows the path, its σ_min, joint margins and "
         "least time by speed limits alone, and the distances of bodies. One or two axes are mapped, more are searched.",
         epilog="Exit status: 0 with a best placement; 3 if there is none, or if the cell as built (now) is impossible; "
         "2 for a bad study.",
     )
+    parser.add_argument("study", type=Path, metavar="STUDY", help="the study file, TOML or YAML")
     written = f"also write {_RECORD}, and for a map {_MAP} and {_MAP_PICTURE}"
     parser.add_argument("--out", type=Path, metavar="DIR", help=written)
-    parser.add_argument("--force", action="store_true", help="overwrite what is there")
 
 
 def _run_place(arguments: argparse.Namespace) -> int:
@@ -164,9 +149,9 @@ def _run_place(arguments: argparse.Namespace) -> int:
         _print_place(best, now, remedies, files)
     wrong = now is not None and not now.feasible
     if now is not None and wrong:
-        _say(f"as built the cell is impossible: {_at(now)}: {now.why}")
+        say(f"as built the cell is impossible: {_at(now)}: {now.why}")
     if not best.feasible:
-        _say(f"no placement is possible; nearest to it: {_at(best)}: {best.why}")
+        say(f"no placement is possible; nearest to it: {_at(best)}: {best.why}")
     return _NOWHERE if wrong or not best.feasible else _OK
 
 

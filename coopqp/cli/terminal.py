@@ -6,14 +6,34 @@ import contextlib
 import os
 import sys
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, TextIO
+from typing import TYPE_CHECKING, Any, TextIO
 
 from coopqp.errors import printable
 
 if TYPE_CHECKING:
+    import argparse
+
     from rich.progress import Progress
+
+
+def add_command(
+    commands: Any, name: str, run: Callable[[argparse.Namespace], int], *, force: str = "", **texts: str
+) -> argparse.ArgumentParser:
+    """The parser of a subcommand, with ``--quiet``, and with ``--force`` where it overwrites what the text says."""
+    parser: argparse.ArgumentParser = commands.add_parser(name, **texts)
+    if force:
+        parser.add_argument("--force", action="store_true", help=f"overwrite {force}")
+    parser.add_argument("--quiet", action="store_true", help="print errors only")
+    parser.set_defaults(run=run)
+    return parser
+
+
+def say(*texts: object) -> None:
+    """One line on stderr, as all messages of the command: ``coopqp: …``."""
+    sys.stdout.flush()
+    print("coopqp:", *(printable(" ".join(str(text).split())) for text in texts), file=sys.stderr, flush=True)
 
 
 class Reporter:
@@ -116,16 +136,16 @@ def styled(text: str, *codes: int, stream: TextIO | None = None) -> str:
 BOLD, GREEN, RED = 1, 32, 31
 
 
-def print_written(files: Sequence[Path], *, apart: bool = False) -> None:
-    """Print the files that were written, if there are any; ``apart``: after an empty line."""
-    if files:
+def print_written(files: Sequence[Path], *, apart: bool = False, quiet: bool = False) -> None:
+    """Print the files that were written, if there are any and unless ``quiet``; ``apart``: after an empty line."""
+    if files and not quiet:
         print("\nwritten:" if apart else "written:", *(printable(str(file)) for file in files), sep="\n  ")
 
 
 def print_hints(hints: Sequence[str]) -> None:
     """Print questions about a file on stderr."""
     for hint in hints:
-        print("coopqp: hint:", printable(hint), file=sys.stderr, flush=True)
+        say("hint:", hint)
 
 
 def print_table(lines: Sequence[Sequence[str]], *, numeric: Sequence[bool], head: bool = True) -> None:

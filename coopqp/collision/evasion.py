@@ -12,7 +12,7 @@ from coopqp.collision.built_scene import BuiltScene
 from coopqp.collision.distances import Distances, LowerBounds
 from coopqp.model.cell import RobotCell
 from coopqp.native.constants import EVADES_EARLY, GENTLE, HELPS, SMALL_CLEARANCE, YIELDS
-from coopqp.planning.joint_trajectories import CellWay
+from coopqp.planning.joint_trajectories import CellTrajectory
 from coopqp.spatial import Array
 
 #: Where nothing else is said: the approach to a margin [1/s], and how far redundant arms keep from it [m].
@@ -127,7 +127,7 @@ class EvadingSlopes:
         return self._evasion.slope(q, slope, G, lower - first + first**2 / (2.0 * GENTLE))
 
 
-def evading_trajectory(built: BuiltScene, way: CellWay) -> tuple[Array, Array] | None:
+def evading_trajectory(built: BuiltScene, way: CellTrajectory) -> tuple[Array, Array] | None:
     """A trajectory on which redundant arms keep off by their self-motion, as a controller leads them.
 
     Returns:

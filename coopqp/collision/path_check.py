@@ -20,7 +20,7 @@ from coopqp.model.shapes import NearPair
 from coopqp.native.constants import SMALL_CLEARANCE
 from coopqp.planning.branch_checks import PathVerdict
 from coopqp.planning.clearance_check import ClearanceCheck
-from coopqp.planning.joint_trajectories import CellWay
+from coopqp.planning.joint_trajectories import CellTrajectory
 from coopqp.spatial import Array
 
 #: The least distance is proved to within this [m], or this share of its clearance.
@@ -53,7 +53,7 @@ class _Interval(NamedTuple):
     motion: float  # largest of the pairs
 
 
-def check_clearance(built: BuiltScene, way: CellWay, *, any_start: bool = False) -> ClearanceCheck:
+def check_clearance(built: BuiltScene, way: CellTrajectory, *, any_start: bool = False) -> ClearanceCheck:
     """Judge a way; see :class:`coopqp.planning.ClearanceCheck`.
 
     Args:
@@ -68,7 +68,7 @@ def check_clearance(built: BuiltScene, way: CellWay, *, any_start: bool = False)
 class _PathCheck:
     """The search for the least clearance along one way."""
 
-    def __init__(self, built: BuiltScene, way: CellWay, *, any_start: bool) -> None:
+    def __init__(self, built: BuiltScene, way: CellTrajectory, *, any_start: bool) -> None:
         self._any_start, self._way, self._built, self._cell = any_start, way, built, built.cell
         self._distances = Distances(built)
         self._numbers = itertools.count()

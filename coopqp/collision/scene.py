@@ -27,7 +27,7 @@ from coopqp.model.grasp import Grasp
 from coopqp.model.shapes import Body, Box, NearPair
 from coopqp.paths.scenario import Scenario
 from coopqp.planning.clearance_check import ClearanceCheck
-from coopqp.planning.joint_trajectories import CellWay
+from coopqp.planning.joint_trajectories import CellTrajectory
 from coopqp.spatial import Array, as_placement
 
 #: Distance that is kept by default [m].
@@ -148,11 +148,11 @@ class CollisionScene:
             found[label] = min(d, found.get(label, np.inf))
         return tuple(NearPair(*label, d) for label, d in sorted(found.items(), key=lambda item: item[1]))
 
-    def along(self, way: CellWay, *, any_start: bool = False) -> ClearanceCheck:
+    def along(self, way: CellTrajectory, *, any_start: bool = False) -> ClearanceCheck:
         """Distances along a way that is checked before the motion; see :func:`coopqp.check_path`."""
         return check_clearance(self.built, way, any_start=any_start)
 
-    def evading(self, way: CellWay) -> tuple[Array, Array] | None:
+    def evading(self, way: CellTrajectory) -> tuple[Array, Array] | None:
         """The way with the self-motion of redundant arms that keeps bodies apart; None if no self-motion does.
 
         Returns:

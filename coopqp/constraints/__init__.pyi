@@ -1,5 +1,3 @@
 from .cause import Cause as Cause
-from .rate import Knot as Knot
-from .rate import RateBound as RateBound
-from .velocity import Rank as Rank
-from .velocity import VelocityConstraint as VelocityConstraint
+from .rate import Knot as Knot, RateBound as RateBound
+from .velocity import Rank as Rank, VelocityConstraint as VelocityConstraint

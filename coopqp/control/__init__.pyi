@@ -1,16 +1,8 @@
 from .interface import (
     Controller as Controller,
-)
-from .interface import (
     ControlStep as ControlStep,
-)
-from .interface import (
     GivenUp as GivenUp,
-)
-from .interface import (
     SolverReport as SolverReport,
-)
-from .interface import (
     Status as Status,
 )
 from .lookahead.options import PreviewOptions as PreviewOptions
@@ -22,14 +14,8 @@ from .qp import QPController as QPController
 from .step.constraint_set import Constraints as Constraints
 from .step.formulations import (
     Pieces as Pieces,
-)
-from .step.formulations import (
     RankWeights as RankWeights,
-)
-from .step.formulations import (
     StepProgram as StepProgram,
-)
-from .step.formulations import (
     StepTerms as StepTerms,
 )
 from .step.linearised import LinearisedStep as LinearisedStep

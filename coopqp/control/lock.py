@@ -1,6 +1,6 @@
 """One thread at a time: a controller that another thread works in refuses the call before anything is touched.
 
-What an operator asks for from another thread than the one that steps waits for the next step.
+Calls of an operator from another thread than the one that steps wait for the next step.
 """
 
 from __future__ import annotations
@@ -17,23 +17,23 @@ _R = TypeVar("_R")
 
 
 class Lock:
-    """Who works in a controller. The thread that already does may enter again; it ends as often as it began."""
+    """The lock of a controller. The thread that holds it may take it again, and releases it as often."""
 
     def __init__(self) -> None:
         self._lock = threading.RLock()
         self._stepper: int | None = None
 
     def hold(self) -> None:
-        """Begin to work.
+        """Take the lock.
 
         Raises:
-            BusyError: another thread has not ended.
+            BusyError: another thread holds it.
         """
         if not self._lock.acquire(blocking=False):
             raise BusyError
 
     def release(self) -> None:
-        """End."""
+        """Release the lock."""
         self._lock.release()
 
     def steps_here(self) -> None:
@@ -48,12 +48,12 @@ class Lock:
         return Lock, ()
 
 
-class _Turns(Protocol):
+class _Locked(Protocol):
     @property
     def _turn(self) -> Any: ...
 
 
-_Self = TypeVar("_Self", bound=_Turns)
+_Self = TypeVar("_Self", bound=_Locked)
 
 
 def alone(method: Callable[Concatenate[_Self, _P], _R]) -> Callable[Concatenate[_Self, _P], _R]:
@@ -61,11 +61,11 @@ def alone(method: Callable[Concatenate[_Self, _P], _R]) -> Callable[Concatenate[
 
     @functools.wraps(method)
     def guarded(self: _Self, *arguments: _P.args, **options: _P.kwargs) -> _R:
-        turn = self._turn
-        turn.hold()
+        lock = self._turn
+        lock.hold()
         try:
             return method(self, *arguments, **options)
         finally:
-            turn.release()
+            lock.release()
 
     return cast(Callable[Concatenate[_Self, _P], _R], guarded)

@@ -40,8 +40,8 @@ class QPOptions:
     correction_spin: Annotated[float, Doc("largest angular speed of each correction [rad/s]")] = 0.4
     measurement_time: Annotated[float, Doc("time constant of the filter of the measured object error [s]")] = 0.02
     common_error: Annotated[
-        CommonError, Doc("weights that define the object pose; the first arm defines it by default (master–slave)")
-    ] = field(default_factory=CommonError.master)
+        CommonError, Doc("weights that define the object pose; the first arm defines it by default")
+    ] = field(default_factory=CommonError.leader)
     weights: Annotated[RankWeights, Doc("costs of the ranks")] = field(default_factory=RankWeights)
     form: Annotated[Literal["condensed", "full"], Doc('form of the QP, "condensed" or "full"')] = "condensed"
     shortcut: Annotated[bool, Doc("skip the QP if the nominal command or a lower rate on the path is admissible")] = (

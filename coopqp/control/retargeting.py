@@ -30,7 +30,7 @@ def retarget_motion(loop: Any, path: ServoPath, effort: RampTime, goal: pin.SE3,
         return False
     for rate in (0.0,) if rests else dict.fromkeys((full, min(now, full))):
         if rests or rate > 0.0:
-            path.set_target(goal, clock=clock, rate=0.0 if rests else now / rate, effort=times, stops=effort.stops)
+            path.set_target(goal, clock=clock, rate=0.0 if rests else now / rate, ramp_times=times, stops=effort.stops)
             loop.look_ahead_again(rate=rate)
             if rests:
                 return True

@@ -1,4 +1,4 @@
-"""The reins: the share of the path's rate that an operator allows, and a pause.
+"""Speed override and pause: the largest path speed that an operator allows.
 
 The object gets there as fast as the joints can follow: each step may lower the rate σ by D dt at most, with D from the
 knots ahead (:meth:`coopqp.control.lookahead.preview.PathPreview.brake`) or, where nothing is known ahead, from the
@@ -21,7 +21,7 @@ class SpeedOverride:
     Attributes:
         override: largest rate.
         paused: the object is asked to rest until it is resumed.
-        ease: share of the null-space motion that redundant arms do besides the path; it stops while paused.
+        ease: share of the null-space motion that the path does not need; it stops while paused.
     """
 
     override: float = 1.0
@@ -30,7 +30,7 @@ class SpeedOverride:
 
     @property
     def share(self) -> float:
-        """The largest rate that is asked for."""
+        """The largest rate: the override, 0 while paused."""
         return 0.0 if self.paused else self.override
 
     def started(self, blocked_rate: float) -> SpeedOverride:
@@ -45,7 +45,7 @@ class SpeedOverride:
             self.ease = min(self.ease + change, 1.0)
 
 
-def blind_brake(velocity: Array, acceleration: Array, rate: float) -> float:
+def brake_without_horizon(velocity: Array, acceleration: Array, rate: float) -> float:
     """The fastest fall of the rate where nothing is known ahead [1/s]: all joints brake together, on a straight path.
 
     Args:

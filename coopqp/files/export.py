@@ -14,8 +14,9 @@ import numpy as np
 import pinocchio as pin
 
 from coopqp.control.interface import Status
-from coopqp.errors import InvalidInputError, MissingExtraError, OutputError, printable
+from coopqp.errors import InvalidInputError, OutputError, printable
 from coopqp.forces.utilisation import LoadUse
+from coopqp.lazy import needed
 from coopqp.model.cell import RobotCell, slides
 from coopqp.model.limits import BindingLimit
 from coopqp.output import check_folder, folder_of, temporary_name, whole_file
@@ -172,11 +173,7 @@ def knot_velocities(recording: Recording, part: slice = slice(None)) -> Array:
 
 def require_rosbags() -> None:
     """Raise MissingExtraError unless rosbags can be imported."""
-    try:
-        import rosbags.rosbag2
-        import rosbags.typesys  # noqa: F401
-    except ImportError as error:
-        raise MissingExtraError("bags", "rosbags") from error
+    needed("rosbags.rosbag2", "bags", "rosbags")
 
 
 def write_bag(recording: Recording, folder: str | Path, *, cell: RobotCell | None = None, start: float = 0.0) -> Path:

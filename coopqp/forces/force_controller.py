@@ -66,14 +66,14 @@ class ForceController:
 
     Attributes:
         cell, grasp, path, dt: the controller's; the grasp is the nominal one, without relaxation.
-        minds_wrenches: true: :func:`coopqp.simulate` gives it the plant's wrenches.
+        needs_wrenches: true: :func:`coopqp.simulate` gives it the plant's wrenches.
         needs_servos: true: :func:`coopqp.simulate` refuses torque-controlled drives, whose joints are no springs.
 
     Raises:
         InvalidInputError: bad settings, also those with which forces would swing.
     """
 
-    minds_wrenches = True
+    needs_wrenches = True
     needs_servos = True
 
     def __init__(

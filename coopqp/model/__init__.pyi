@@ -1,13 +1,8 @@
-from .cell import Arm as Arm
-from .cell import JointLimits as JointLimits
-from .cell import RobotCell as RobotCell
+from .cell import Arm as Arm, JointLimits as JointLimits, RobotCell as RobotCell
 from .chain import Chain as Chain
 from .common_error import CommonError as CommonError
-from .grasp import Grasp as Grasp
-from .grasp import plate_from_centroid as plate_from_centroid
-from .grasp import plate_from_points as plate_from_points
+from .grasp import Grasp as Grasp, plate_from_centroid as plate_from_centroid, plate_from_points as plate_from_points
 from .inverse_kinematics import inverse_kinematics as inverse_kinematics
-from .limits import BindingLimit as BindingLimit
-from .limits import LimitKind as LimitKind
+from .limits import BindingLimit as BindingLimit, LimitKind as LimitKind
 from .posture import PostureOptions as PostureOptions
 from .state import CellState as CellState

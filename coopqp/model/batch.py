@@ -243,11 +243,11 @@ class ArmKinematics:
 
         A redundant arm takes the shortest way, in the unit of each joint's largest speed.
         """
-        q, reached = self.ways(poses, q_start, tolerance=tolerance)
+        q, reached = self.trajectories(poses, q_start, tolerance=tolerance)
         sigma = self.singular_values(q.reshape(-1, self.n))[:, -1].reshape(len(q), -1)
         return Walks(q, reached, sigma)
 
-    def ways(
+    def trajectories(
         self, poses: ArrayLike, q_start: ArrayLike, *, tolerance: float = REACHED
     ) -> tuple[Array, npt.NDArray[np.intp]]:
         """Positions (M, K, n) and last poses (M,) of :meth:`walk`, without singular values."""

@@ -58,7 +58,7 @@ def find_branches(
     kinematics: ArmKinematics,
     T_world_tool: Placement,
     *,
-    effort: int = 1,
+    seed_factor: int = 1,
     near: ArrayLike | None = None,
     seed: int = 0,
     quick: bool = False,
@@ -68,21 +68,21 @@ def find_branches(
     Args:
         kinematics: the arm.
         T_world_tool: the pose.
-        effort: multiplies the numbers of seeds.
+        seed_factor: multiplies the numbers of seeds.
         near: further seeds (S, n) [rad or m], tried first.
         seed: seed of the random numbers.
         quick: a first look, with few seeds: branches may be missing.
     """
-    effort = as_count(effort, "find_branches: effort")
+    seed_factor = as_count(seed_factor, "find_branches: seed_factor")
     search = _Search(kinematics, T_world_tool)
     rng = np.random.default_rng(seed)
     if near is not None:
         search.try_seeds(np.asarray(near, dtype=float))
     if kinematics.n > 6:
-        search.try_seeds(kinematics.seeds(_ROUND if quick else _REDUNDANT_SEEDS * effort, rng))
-        return search.result(_MOST_REDUNDANT * effort)
+        search.try_seeds(kinematics.seeds(_ROUND if quick else _REDUNDANT_SEEDS * seed_factor, rng))
+        return search.result(_MOST_REDUNDANT * seed_factor)
     for rounds in range(1, 2 if quick else _MOST_ROUNDS + 1):
-        new = search.try_seeds(kinematics.seeds(_ROUND * effort, rng))
+        new = search.try_seeds(kinematics.seeds(_ROUND * seed_factor, rng))
         new += search.try_neighbours()
         enough = min(search.hits) >= _ENOUGH_HITS if search.hits else rounds >= _ENOUGH_HITS
         if new == 0 and rounds > 1 and enough:

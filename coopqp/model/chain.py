@@ -116,7 +116,7 @@ class Chain:
             out[k][:, columns] = J
         return out.reshape(-1, self.nv)
 
-    def edges(self) -> Array:
+    def to_reach_end(self) -> Array:
         """Joint motion (nv,) that takes each arm to where its reach ends, to first order [rad or m].
 
         With the least eigenvalue λ of J Jᵀ and its eigenvector u, joint motion ``v = Jᵀ u`` moves the object

@@ -18,7 +18,7 @@ from coopqp.spatial import Array
 class CommonError:
     """Diagonal weights of the arms' errors, per axis of the object frame. They sum to 1 on every axis.
 
-    Build it with :meth:`master`, :meth:`leaderless`, :meth:`driver` or :meth:`per_axis`.
+    Build it with :meth:`leader`, :meth:`leaderless`, :meth:`driver` or :meth:`per_axis`.
     """
 
     kind: str
@@ -26,9 +26,9 @@ class CommonError:
     weights: ArrayLike | None = None
 
     @staticmethod
-    def master(arm: str | int = 0) -> CommonError:
-        """Master–slave: the master defines the object pose, the other arms follow (the paper's mode II)."""
-        return CommonError("master", (arm,))
+    def leader(arm: str | int = 0) -> CommonError:
+        """The leader defines the object pose, the other arms follow: master and slaves of the paper's mode II."""
+        return CommonError("leader", (arm,))
 
     @staticmethod
     def leaderless() -> CommonError:
@@ -36,9 +36,9 @@ class CommonError:
         return CommonError("leaderless")
 
     @staticmethod
-    def driver(*, master: str | int, driver: str | int) -> CommonError:
-        """Master–slave–driver (the paper's mode I): the master positions the object, the driver orients it."""
-        return CommonError("driver", (master, driver))
+    def driver(*, leader: str | int, driver: str | int) -> CommonError:
+        """The leader positions the object, the driver orients it: master and driver of the paper's mode I."""
+        return CommonError("driver", (leader, driver))
 
     @staticmethod
     def per_axis(weights: ArrayLike) -> CommonError:
@@ -55,7 +55,7 @@ class CommonError:
         n = len(cell)
         W = np.zeros((n, 6))
         arms = [cell.index(arm) for arm in self.arms]
-        if self.kind == "master":
+        if self.kind == "leader":
             W[arms[0]] = 1.0
         elif self.kind == "leaderless":
             W[:] = 1.0 / n

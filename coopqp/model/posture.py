@@ -1,4 +1,4 @@
-"""Null-space motion of redundant arms: posture, centring, manipulability."""
+"""The posture task of redundant arms: a target, the middle of the joints' ranges, manipulability."""
 
 from __future__ import annotations
 
@@ -10,20 +10,19 @@ import pinocchio as pin
 
 from coopqp.checks import Doc, documented, keep_scalars
 from coopqp.model.cell import RobotCell
+from coopqp.model.chain import jacobian_slope
 from coopqp.spatial import Array
 
 
 @documented
 @dataclass(frozen=True, kw_only=True, eq=False)
 class PostureOptions:
-    """Weights of the null-space goals. All goals act in the null-space of the chain and never disturb it."""
+    """Weights of the goals of the posture task. All act in the null-space of the chain and never disturb it."""
 
     gain: Annotated[float, Doc("gain towards 'target' [1/s]")] = 1.0
     target: Annotated[Any, Doc("preferred configuration (nq,); None for the configuration at reset")] = None
     centring: Annotated[float, Doc("gain towards the middle between the position limits [1/s]")] = 0.0
-    manipulability: Annotated[
-        float, Doc("gain along the gradient of √det(J Jᵀ) [rad²/s]; costs a finite difference per joint")
-    ] = 0.0
+    manipulability: Annotated[float, Doc("gain along the gradient of √det(J Jᵀ) [rad²/s]")] = 0.0
     speed_share: Annotated[
         float, Doc("upper bound of the wanted null-space velocity, as a share of every joint's speed limit")
     ] = 0.2
@@ -82,26 +81,14 @@ class Posture:
         excess = np.abs(v / self._cap).max()
         return v / excess if excess > 1.0 else v
 
-    def _manipulability(self, q: Array) -> Array:
-        """√det(J Jᵀ) of the redundant arms."""
-        cell, data = self._cell, self._data
-        pin.computeJointJacobians(cell.model, data, q)
-        J = [pin.getFrameJacobian(cell.model, data, cell.tool_frames[k], pin.LOCAL)[:, s] for k, s in self._arms]
-        values: Array = np.sqrt(np.maximum(np.linalg.det(np.array([one @ one.T for one in J])), 0.0))
-        return values
-
-    def _manipulability_gradient(self, q: Array, h: float = 1e-5) -> Array:
-        """Gradient (nv,) of each arm's √det(J Jᵀ) with respect to its joints, by central differences.
-
-        An arm's Jacobian depends on its own joints only: a joint of every arm moves at once.
-        """
-        cell = self._cell
-        gradient = np.zeros(cell.nv)
-        for i in range(max((s.stop - s.start for _, s in self._arms), default=0)):
-            has = np.array([i < s.stop - s.start for _, s in self._arms])
-            own = np.array([s.start + i for _, s in self._arms])[has]
-            e = np.zeros(cell.nv)
-            e[own] = h
-            up, down = (self._manipulability(pin.integrate(cell.model, q, way)) for way in (e, -e))
-            gradient[own] = (up - down)[has] / (2.0 * h)
+    def _manipulability_gradient(self, q: Array) -> Array:
+        """Gradient (nv,) of each arm's m = √det(J Jᵀ) over its joints: ``∂_i m = m tr(J⁺ ∂_i J)``."""
+        cell, gradient = self._cell, np.zeros(self._cell.nv)
+        pin.computeJointJacobians(cell.model, self._data, q)
+        for k, s in self._arms:
+            frame = cell.tool_frames[k]
+            J = pin.getFrameJacobian(cell.model, self._data, frame, pin.LOCAL_WORLD_ALIGNED)[:, s]
+            m = np.sqrt(max(np.linalg.det(J @ J.T), 0.0))
+            inverse = np.linalg.pinv(J)
+            gradient[s] = [m * np.sum(inverse.T * jacobian_slope(J, joint)) for joint in np.eye(J.shape[1])]
         return gradient

@@ -349,9 +349,9 @@ def blended(lines: Sequence[Straight], *, distance: float, angle: float) -> Path
     for a, b in itertools.pairwise(lines):
         apart = float(np.linalg.norm(b.way / b.length - a.way / a.length)) * RAMP_AT_MIDDLE
         turned = float(np.linalg.norm(b.turn / b.length - a.turn / a.length)) * RAMP_AT_MIDDLE
-        room = [0.5 * min(a.length, b.length)]
-        room += [limit / size for limit, size in ((distance, apart), (angle, turned)) if size > _CORNER]
-        cuts.append(min(room) if len(room) > 1 else 0.0)
+        longest = [0.5 * min(a.length, b.length)]
+        longest += [limit / size for limit, size in ((distance, apart), (angle, turned)) if size > _CORNER]
+        cuts.append(min(longest) if len(longest) > 1 else 0.0)
     cuts.append(0.0)
     pieces: list[Piece] = []
     for i, line in enumerate(lines):

@@ -25,8 +25,8 @@ class EngineSettings:
     Attributes:
         disturbances: settings of :class:`coopqp.simulation.Disturbances`.
         options: settings of :class:`coopqp.simulation.PhysicsOptions`.
-        forces: settings of :class:`coopqp.ForceOptions`, besides stiffness and payload; None for arms that do not mind
-            forces.
+        forces: settings of :class:`coopqp.ForceOptions`, besides stiffness and payload; None for arms that do not
+            monitor forces.
         controller: settings of :class:`coopqp.QPOptions`.
         torque_share: share of the joints' torques that load sharing plans with.
         palms: open palms in place of grips that do not let go: settings of a :class:`coopqp.forces.Grip` per arm.

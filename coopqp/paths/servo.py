@@ -35,34 +35,34 @@ class _Way:
         twist: its velocity and angular velocity, in world axes (6,) [m/s, rad/s].
         goal: T_world_object, the pose to rest at.
         speed, spin: largest speed and angular speed of the straight way [m/s, rad/s].
-        effort: seconds that each joint takes for a change of the object's motion by one unit, in world axes (m, 6).
+        ramp_times: seconds that each joint takes for a change of the object's motion by one unit, in world axes (m, 6).
         stops: time that each joint takes to stop from its full speed (m,) [s], where the way itself brings it to rest
             at its end; 0 where the rate does.
     """
 
     def __init__(
-        self, start: pin.SE3, twist: Array, goal: pin.SE3, *, speed: float, spin: float, effort: Array, stops: Array
+        self, start: pin.SE3, twist: Array, goal: pin.SE3, *, speed: float, spin: float, ramp_times: Array, stops: Array
     ) -> None:
         rests = bool(np.abs(twist).max() <= STILL_OBJECT)
         self.start, self.goal, self.twist = start, goal, np.zeros(6) if rests else twist
         self.begin = self.end = 0.0
         if rests:
             nominal, full = self._straight(speed, spin)
-            self.end = float(np.fmin(np.abs(effort @ full), stops).max(initial=0.0))
+            self.end = float(np.fmin(np.abs(ramp_times @ full), stops).max(initial=0.0))
             self.duration = max(nominal + 0.5 * self.end, self.end, SHORTEST_CHANGE)
             return
-        before = effort @ self.twist
+        before = ramp_times @ self.twist
         self.begin = max(float(np.abs(before).max()), SHORTEST_CHANGE)
         share = 1.0
         for _ in range(4):  # the way begins where the present motion has died away
             nominal, full = self._straight(speed, spin)
-            after = effort @ full
+            after = ramp_times @ full
             changes = np.abs(np.outer(_SHARES, after) - before).max(axis=1)
             fits = 0.5 * _SHARES * (changes + _SHARES * np.abs(after).max()) <= nominal
             i = int(np.flatnonzero(fits).max(initial=0))
             share, self.begin = float(_SHARES[i]), max(float(changes[i]), SHORTEST_CHANGE)
         nominal, full = self._straight(speed, spin)
-        self.end = max(share * float(np.abs(effort @ full).max()), SHORTEST_CHANGE)
+        self.end = max(share * float(np.abs(ramp_times @ full).max()), SHORTEST_CHANGE)
         ramps = self.begin + self.end
         self.duration = max(nominal / share + 0.5 * ramps, ramps)
 
@@ -147,12 +147,12 @@ class ServoPath(ObjectPath):
         self._since = 0.0
         self._way = self._to(pose, np.zeros(6), pose, None, None)
 
-    def _to(self, start: pin.SE3, twist: Array, goal: pin.SE3, effort: Array | None, stops: Array | None) -> _Way:
-        if effort is None:
-            effort = _RAMP * np.diag([1.0 / self.speed] * 3 + [1.0 / self.spin] * 3)
+    def _to(self, start: pin.SE3, twist: Array, goal: pin.SE3, ramp_times: Array | None, stops: Array | None) -> _Way:
+        if ramp_times is None:
+            ramp_times = _RAMP * np.diag([1.0 / self.speed] * 3 + [1.0 / self.spin] * 3)
         if stops is None:
-            stops = np.zeros(len(effort))
-        return _Way(start, twist, goal, speed=self.speed, spin=self.spin, effort=effort, stops=stops)
+            stops = np.zeros(len(ramp_times))
+        return _Way(start, twist, goal, speed=self.speed, spin=self.spin, ramp_times=ramp_times, stops=stops)
 
     @property
     def target(self) -> pin.SE3:
@@ -173,7 +173,7 @@ class ServoPath(ObjectPath):
         *,
         clock: float,
         rate: float = 1.0,
-        effort: Array | None = None,
+        ramp_times: Array | None = None,
         stops: Array | None = None,
     ) -> None:
         """Move to ``T_world_object`` from the object's pose and motion at ``clock``.
@@ -182,7 +182,8 @@ class ServoPath(ObjectPath):
             T_world_object: where to.
             clock: the object's clock [s].
             rate: σ, share of the path's twist at which the object moves there.
-            effort: seconds that each joint takes for a change of the object's motion by one unit, in world axes (m, 6).
+            ramp_times: seconds that each joint takes for a change of the object's motion by one unit, in world axes
+                (m, 6).
             stops: time that each joint takes to stop from its full speed (m,) [s], where the way itself brings it to
                 rest at its end; 0, the default, where the rate of the clock does.
 
@@ -193,10 +194,10 @@ class ServoPath(ObjectPath):
         goal, here = as_placement(T_world_object, where), self.pose(clock)
         rate = as_scalar(rate, f"{where}: rate", open_low=False)
         turned = for_twists(here.rotation)
-        if effort is not None:
-            rows = np.shape(effort)[0] if np.ndim(effort) == 2 else 0
-            effort = as_vector(np.ravel(effort), 6 * rows, f"{where}: effort").reshape(rows, 6)
-        self._way = self._to(here, rate * turned @ self.twist(clock), goal, effort, stops)
+        if ramp_times is not None:
+            rows = np.shape(ramp_times)[0] if np.ndim(ramp_times) == 2 else 0
+            ramp_times = as_vector(np.ravel(ramp_times), 6 * rows, f"{where}: ramp_times").reshape(rows, 6)
+        self._way = self._to(here, rate * turned @ self.twist(clock), goal, ramp_times, stops)
         self._since = clock
 
     def take(self, goal: pin.SE3, segment: Array) -> None:

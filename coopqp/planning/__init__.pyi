@@ -1,18 +1,10 @@
-from .arm_check import ArmCheck as ArmCheck
-from .arm_check import UndecidedInterval as UndecidedInterval
+from .arm_check import ArmCheck as ArmCheck, UndecidedInterval as UndecidedInterval
 from .arm_starts import BranchAlongPath as BranchAlongPath
-from .branch_checks import BranchCheck as BranchCheck
-from .branch_checks import PathVerdict as PathVerdict
-from .check import PathCheck as PathCheck
-from .check import Remedy as Remedy
-from .check import check_path as check_path
-from .clearance_check import Bodies as Bodies
-from .clearance_check import ClearanceCheck as ClearanceCheck
+from .branch_checks import BranchCheck as BranchCheck, PathVerdict as PathVerdict
+from .check import PathCheck as PathCheck, Remedy as Remedy, check_path as check_path
+from .clearance_check import Bodies as Bodies, ClearanceCheck as ClearanceCheck
 from .payload import Payload as Payload
-from .planner import Plan as Plan
-from .planner import plan as plan
+from .planner import Plan as Plan, plan as plan
 from .remedies import find_remedies as find_remedies
-from .starts import ArmStart as ArmStart
-from .starts import Start as Start
-from .starts import find_start as find_start
+from .starts import ArmStart as ArmStart, Start as Start, find_start as find_start
 from .timing import time_path as time_path

@@ -105,7 +105,7 @@ def arm_on_path(
     *,
     near: Array,
     roll: float = 0.0,
-    effort: int = 1,
+    seed_factor: int = 1,
     quick: bool = False,
 ) -> ArmOnPath:
     """Find all branches at the start of a path and walk each along it.
@@ -116,14 +116,14 @@ def arm_on_path(
         X: T_object_tool.
         near: further seeds (S, n) [rad or m].
         roll: turn of the tool about its own z axis [rad].
-        effort: multiplies the number of seeds.
+        seed_factor: multiplies the number of seeds.
         quick: a first look, with few seeds: branches may be missing.
     """
     poses = samples.tool_poses(rolled(X, roll))
-    found = find_branches(kinematics, poses[0], effort=effort, near=near, quick=quick)
+    found = find_branches(kinematics, poses[0], seed_factor=seed_factor, near=near, quick=quick)
     q, hits = found.q, found.hits
     if kinematics.n > 6 and len(q):
-        q, hits = _self_motions(kinematics, poses[0], found, _MOST_WALKS * effort)
+        q, hits = _self_motions(kinematics, poses[0], found, _MOST_WALKS * seed_factor)
     inside = kinematics.margins(q).min(axis=1, initial=np.inf) >= -AT_LIMIT
     rows = []
     for group, along in ((np.flatnonzero(inside), poses), (np.flatnonzero(~inside)[:_MOST_OUTSIDE], poses[:1])):

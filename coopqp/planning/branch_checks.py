@@ -14,7 +14,7 @@ from coopqp.model.batch import ArmKinematics
 from coopqp.model.branches import AT_LIMIT, amount, find_branches
 from coopqp.planning.arm_starts import away_from_limits, why_it_ends
 from coopqp.planning.certificate import LEAST_SIGMA, exactness, prove
-from coopqp.planning.joint_trajectories import ArmWay
+from coopqp.planning.joint_trajectories import ArmTrajectory
 from coopqp.planning.segments import Indices, Segments
 from coopqp.spatial import Array
 
@@ -66,7 +66,7 @@ class BranchCheck:
         certified: intervals [a, b] of the clock that are proved (C, 2) [s].
         undecided: intervals [a, b] that are not decided (U, 2) [s].
         sigma_bound: lower bound of σ_min over the intervals that are proved; 0 without a proof.
-        way: joint motion along the path, also between the samples.
+        trajectory: joint motion along the path, also between the samples.
     """
 
     verdict: PathVerdict
@@ -81,7 +81,7 @@ class BranchCheck:
     certified: Array
     undecided: Array
     sigma_bound: float
-    way: ArmWay
+    trajectory: ArmTrajectory
 
     @property
     def tightest(self) -> int:
@@ -153,7 +153,7 @@ def check_branches(kinematics: ArmKinematics, path: ToolPath, starts: Array) -> 
     ways = [walks.q[m, : int(walks.reached[m]) + 1] for m in range(len(starts))]
     if kinematics.n > 6:
         ways = [_inside(kinematics, path, way, exact) for way in ways]
-    return [check_way(kinematics, path, way) for way in ways]
+    return [check_trajectory(kinematics, path, way) for way in ways]
 
 
 def not_disproved(kinematics: ArmKinematics, path: ToolPath, branches: list[BranchCheck]) -> list[BranchCheck]:
@@ -205,7 +205,7 @@ def _inside(kinematics: ArmKinematics, path: ToolPath, way: Array, exact: float)
     return np.array(q) if len(q) >= len(way) or len(q) == len(path.poses) else way
 
 
-def check_way(kinematics: ArmKinematics, path: ToolPath, q: Array) -> BranchCheck:
+def check_trajectory(kinematics: ArmKinematics, path: ToolPath, q: Array) -> BranchCheck:
     """The verdict on one branch that is at ``q`` (K, n) at the first K knots."""
     clocks, complete = path.clocks[: len(q)], len(q) == len(path.clocks)
     nothing = np.empty((0, 2))
@@ -213,10 +213,10 @@ def check_way(kinematics: ArmKinematics, path: ToolPath, q: Array) -> BranchChec
     sure, lost = np.ones(len(q), dtype=bool), np.empty(0)
     outside = kinematics.margins(q).min(axis=1) < -AT_LIMIT
     m = int(outside.argmax()) if outside.any() else len(q)  # knots until the first one outside
-    way = ArmWay.sampled(kinematics, path.offset, path.places[: len(q)], q)
+    way = ArmTrajectory.sampled(kinematics, path.offset, path.places[: len(q)], q)
     if path.segments is not None and kinematics.n >= 6 and m > 1:
         found = prove(kinematics, path.segments, path.offset, path.segment[:m], path.share[:m], q[:m])
-        way = ArmWay.proved(kinematics, path.offset, found)
+        way = ArmTrajectory.proved(kinematics, path.offset, found)
         shares = np.concatenate([found.low, found.high, 0.5 * (found.low + found.high)])
         low, high, middle = np.split(path.segments.clocks(np.tile(found.segment, 3), shares), 3)
         certified, undecided = (_merged(low[k], high[k]) for k in (found.proved, ~found.proved))
@@ -266,7 +266,7 @@ def check_way(kinematics: ArmKinematics, path: ToolPath, q: Array) -> BranchChec
         certified=certified,
         undecided=undecided,
         sigma_bound=sigma_bound,
-        way=way,
+        trajectory=way,
     )
 
 

@@ -34,7 +34,7 @@ from coopqp.planning.branch_checks import (
     PathVerdict,
     ToolPath,
     check_branches,
-    check_way,
+    check_trajectory,
     follows,
     not_disproved,
     path_at,
@@ -42,7 +42,7 @@ from coopqp.planning.branch_checks import (
     worst,
 )
 from coopqp.planning.clearance_check import Bodies, ClearanceCheck, check_scene
-from coopqp.planning.joint_trajectories import CellWay
+from coopqp.planning.joint_trajectories import CellTrajectory
 from coopqp.planning.segments import Segments, segments_of
 from coopqp.planning.starts import clear_rows, exact_start
 from coopqp.spatial import Array
@@ -134,7 +134,7 @@ class PathCheck:
         4 % of the duration, which saves time and keeps inside the limits. The path itself where nothing is proved,
         or where no arm has more than six joints.
         """
-        way = self.proved_way()
+        way = self.proved_trajectory()
         if way is None or not any(len(arm.joints) > 6 for arm in self.arms):
             return self.path
         clocks, first = np.unique(way.clocks(way.places), return_index=True)
@@ -150,13 +150,13 @@ class PathCheck:
         """The same answer for the same path, with more on it."""
         return replace(self, path=path)
 
-    def proved_way(self) -> CellWay | None:
+    def proved_trajectory(self) -> CellTrajectory | None:
         """The motion of all joints that is proved, over the places of the path; None where nothing is."""
-        ways = [arm.chosen.way for arm in self.arms if arm.chosen is not None]
+        ways = [arm.chosen.trajectory for arm in self.arms if arm.chosen is not None]
         segments = segments_of(self.path)
         if self.verdict is not PathVerdict.CERTIFIED or self.q_start is None or segments is None:
             return None
-        return CellWay(self.cell, self.path, segments, ways, self.cell.positions(self.q_start))
+        return CellTrajectory(self.cell, self.path, segments, ways, self.cell.positions(self.q_start))
 
     def explain(self) -> str:
         """The verdict, a line per arm and one for distances, in sentences; then the remedies."""
@@ -218,7 +218,7 @@ def check_path(
     *,
     q_start: ArrayLike | None = None,
     scene: Bodies | None = None,
-    effort: int = 1,
+    seed_factor: int = 1,
 ) -> PathCheck:
     """Can the arms follow a path inside their position limits, away from singularities, and without touching?
 
@@ -232,13 +232,13 @@ def check_path(
             :func:`find_start`, and the best one is chosen.
         scene: the bodies that keep distances, a :class:`coopqp.CollisionScene` of the same cell; without it
             distances play no part. Without a start branches are chosen that keep clear.
-        effort: multiplies the number of seeds of the search for branches.
+        seed_factor: multiplies the number of seeds of the search for branches.
 
     Raises:
         InvalidInputError: bad arguments, or a start that does not hold the object at the start of the path.
     """
     grasp.check_arms(cell)
-    effort = as_count(effort, "check_path: effort")
+    seed_factor = as_count(seed_factor, "check_path: seed_factor")
     check_scene(cell, scene, "check_path: scene")
     GuardedPath(path).check("check_path: path")
     samples, segments = sample_path(path, grasp), segments_of(path)
@@ -247,7 +247,7 @@ def check_path(
     for k, (arm, X) in enumerate(zip(cell.arms, grasp.T_object_tool, strict=True)):
         kinematics, tool = ArmKinematics(arm), tool_path(segments, samples, X)
         if start is None:
-            arms.append(_every_branch(kinematics, samples, X, tool, effort))
+            arms.append(_every_branch(kinematics, samples, X, tool, seed_factor))
         else:
             positions = cell.positions(start)[cell.v_slices[k]][kinematics.columns]
             arms.append(_given_branch(kinematics, tool, positions))
@@ -285,12 +285,12 @@ def check_motion(cell: RobotCell, grasp: Grasp, path: TimedPath, x: Array, scene
     for own, arm, X in zip(cell.v_slices, cell.arms, grasp.T_object_tool, strict=True):
         kinematics = ArmKinematics(arm)
         tool = path_at(tool_path(segments, samples, X), places)
-        branch = check_way(kinematics, tool, x[:, own.start + kinematics.columns])
+        branch = check_trajectory(kinematics, tool, x[:, own.start + kinematics.columns])
         arms.append(_arm_check(kinematics, branch, [branch], None))
     clearance = None
     if worst([arm.verdict for arm in arms]) is PathVerdict.CERTIFIED:
-        ways = [arm.chosen.way for arm in arms if arm.chosen is not None]
-        clearance = scene.along(CellWay(cell, path, segments, ways, x[0]))
+        ways = [arm.chosen.trajectory for arm in arms if arm.chosen is not None]
+        clearance = scene.along(CellTrajectory(cell, path, segments, ways, x[0]))
     return _judged(cell, grasp, path, arms, cell.configuration(x[0]), clearance, scene, given=True)
 
 
@@ -358,8 +358,10 @@ def _distances(
 ) -> tuple[list[ArmCheck], ClearanceCheck]:
     """Distances along the ways of the arms, or along others that their self-motion allows; and the arms on them."""
 
-    def way_of(arms: list[ArmCheck]) -> CellWay:
-        return CellWay(cell, path, segments, [arm.chosen.way for arm in arms if arm.chosen is not None], rest)
+    def way_of(arms: list[ArmCheck]) -> CellTrajectory:
+        return CellTrajectory(
+            cell, path, segments, [arm.chosen.trajectory for arm in arms if arm.chosen is not None], rest
+        )
 
     way = way_of(arms)
     found = scene.along(way, any_start=any_start)
@@ -376,7 +378,7 @@ def _distances(
             evading.append(arm)
             continue
         tool = path_at(tool_path(segments, samples, X), places)
-        branch = check_way(kinematics, tool, x[:, own.start + kinematics.columns])
+        branch = check_trajectory(kinematics, tool, x[:, own.start + kinematics.columns])
         evading.append(
             replace(arm, chosen=branch, branches=tuple(branch if b is arm.chosen else b for b in arm.branches))
         )
@@ -385,9 +387,11 @@ def _distances(
     return (evading, better) if kept and worst([better.verdict, found.verdict]) is found.verdict else (arms, found)
 
 
-def _every_branch(kinematics: ArmKinematics, samples: PathSamples, X: pin.SE3, tool: ToolPath, effort: int) -> ArmCheck:
+def _every_branch(
+    kinematics: ArmKinematics, samples: PathSamples, X: pin.SE3, tool: ToolPath, seed_factor: int
+) -> ArmCheck:
     """Judge all branches of an arm, or the best ones of a redundant arm."""
-    found = arm_on_path(kinematics, samples, X, near=np.empty((0, kinematics.n)), effort=effort)
+    found = arm_on_path(kinematics, samples, X, near=np.empty((0, kinematics.n)), seed_factor=seed_factor)
     rows: Sequence[BranchAlongPath] = found.branches
     if kinematics.n > 6:
         rows = sorted(rows, key=lambda row: (not row.feasible, -row.reached, -row.score))[:_MOST_REDUNDANT]

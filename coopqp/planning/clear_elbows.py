@@ -67,7 +67,7 @@ def _leads(check: PathCheck, motion: TimedMotion, scene: Bodies) -> Iterator[Lea
         if slower > 1.0:
             path = TimedPath(geometry, SpeedProfile(profile.s, profile.squares / slower**2))
             found = check_path(check.cell, check.grasp, path, q_start=check.q_start, scene=scene)
-        way = found.proved_way()
+        way = found.proved_trajectory()
         if way is None:
             continue
         evading = way.positions(places_along(geometry, s))[0]

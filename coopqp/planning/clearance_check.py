@@ -13,7 +13,7 @@ from coopqp.model.cell import RobotCell
 from coopqp.model.grasp import Grasp
 from coopqp.model.shapes import NearPair
 from coopqp.planning.branch_checks import PathVerdict
-from coopqp.planning.joint_trajectories import CellWay
+from coopqp.planning.joint_trajectories import CellTrajectory
 from coopqp.spatial import Array
 
 
@@ -111,11 +111,11 @@ class Bodies(Protocol):
         """The arms."""
         ...
 
-    def along(self, way: CellWay, *, any_start: bool = False) -> ClearanceCheck:
+    def along(self, way: CellTrajectory, *, any_start: bool = False) -> ClearanceCheck:
         """Judge a way; with ``any_start`` first the pairs that stay too close from every start."""
         ...
 
-    def evading(self, way: CellWay) -> tuple[Array, Array] | None:
+    def evading(self, way: CellTrajectory) -> tuple[Array, Array] | None:
         """Places (K,) and joint positions (K, nv) of a way on which redundant arms keep off; None if there is none."""
         ...
 

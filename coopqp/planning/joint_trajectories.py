@@ -24,7 +24,7 @@ _EXACT = 1e-10
 
 
 @dataclass(frozen=True, eq=False)
-class ArmWay:
+class ArmTrajectory:
     """The way of one arm: it holds exactly at its places, and between them reaches the tool's pose.
 
     Attributes:
@@ -42,15 +42,15 @@ class ArmWay:
     rates: Array
 
     @staticmethod
-    def proved(kinematics: ArmKinematics, offset: Array, proof: Proof) -> ArmWay:
+    def proved(kinematics: ArmKinematics, offset: Array, proof: Proof) -> ArmTrajectory:
         """The way of a proof."""
         places = np.append(proof.segment + proof.low, proof.segment[-1] + proof.high[-1])
-        return ArmWay(kinematics, offset, places, np.vstack([proof.q_low, proof.q_high[-1:]]), proof.rate)
+        return ArmTrajectory(kinematics, offset, places, np.vstack([proof.q_low, proof.q_high[-1:]]), proof.rate)
 
     @staticmethod
-    def sampled(kinematics: ArmKinematics, offset: Array, places: Array, q: Array) -> ArmWay:
+    def sampled(kinematics: ArmKinematics, offset: Array, places: Array, q: Array) -> ArmTrajectory:
         """The way through samples."""
-        return ArmWay(kinematics, offset, places, q, np.full((len(q) - 1, kinematics.n), np.inf))
+        return ArmTrajectory(kinematics, offset, places, q, np.full((len(q) - 1, kinematics.n), np.inf))
 
     def at(self, places: Array, T_world_object: Array) -> tuple[Array, npt.NDArray[np.bool_]]:
         """Joint positions (M, n) at places (M,), where the object is at (M, 4, 4), and where they reach its pose."""
@@ -79,7 +79,7 @@ class ArmWay:
 
 
 @final
-class CellWay:
+class CellTrajectory:
     """The ways of all arms of a cell.
 
     Args:
@@ -94,7 +94,7 @@ class CellWay:
     """
 
     def __init__(
-        self, cell: RobotCell, path: ObjectPath, segments: Segments | None, arms: Sequence[ArmWay], rest: Array
+        self, cell: RobotCell, path: ObjectPath, segments: Segments | None, arms: Sequence[ArmTrajectory], rest: Array
     ) -> None:
         self.cell, self._path, self._segments, self._arms = cell, path, segments, tuple(arms)
         self._rest = rest

@@ -112,7 +112,7 @@ def arm_knots(kinematics: ArmKinematics, T_object_tool: pin.SE3, motion: Motion,
     if not residual[0] <= _REACHED:
         nothing = np.zeros((len(T), len(q0)))
         return ArmKnots(nothing + q0, nothing, nothing, -1)
-    ways, last = kinematics.ways(T, first, tolerance=_REACHED)
+    ways, last = kinematics.trajectories(T, first, tolerance=_REACHED)
     q, reached = ways[0], int(last[0])
     q[: reached + 1] = kinematics.newton(T[: reached + 1], q[: reached + 1], tolerance=_EXACT, steps=2)[0]
     return _derived(kinematics, T, V, dV, motion.s, q, reached)

@@ -14,7 +14,8 @@ from typing import Any
 
 import numpy as np
 
-from coopqp.errors import MissingExtraError, UndecidedError
+from coopqp.errors import UndecidedError
+from coopqp.lazy import needed
 from coopqp.planning.knots import Knots
 from coopqp.spatial import Array
 
@@ -98,10 +99,7 @@ def outermost(a: Array, b: Array) -> Any:
 
 def require_toppra() -> None:
     """Raises MissingExtraError unless toppra can be imported."""
-    try:
-        import toppra  # noqa: F401
-    except ImportError as error:
-        raise MissingExtraError("planning", "toppra") from error
+    needed("toppra", "planning", "toppra")
 
 
 def fastest(limited: Limited) -> Array:

@@ -117,7 +117,7 @@ def find_start(
     free_roll: Mapping[str, Sequence[float]] | None = None,
     q_near: ArrayLike | None = None,
     scene: Bodies | None = None,
-    effort: int = 1,
+    seed_factor: int = 1,
 ) -> Start:
     """Find a start configuration from which every arm follows the whole path inside its limits.
 
@@ -131,7 +131,7 @@ def find_start(
         q_near: further seed (nq,); positions of joints that do not move a tool are taken from it.
         scene: the bodies that keep distances, a :class:`coopqp.CollisionScene` of the same cell: a start is
             preferred from which all margins are kept along the path. Not together with ``free_roll``.
-        effort: multiplies the number of seeds.
+        seed_factor: multiplies the number of seeds.
 
     Raises:
         NoStartError: an arm has none. The message names the arm, the joint, by how much, and a remedy.
@@ -139,7 +139,7 @@ def find_start(
         UnknownNameError: no such arm.
     """
     grasp.check_arms(cell)
-    effort = as_count(effort, "find_start: effort")
+    seed_factor = as_count(seed_factor, "find_start: seed_factor")
     check_scene(cell, scene, "find_start: scene")
     if scene is not None and free_roll:
         raise InvalidInputError("free_roll and a scene", "find_start", "A scene is of one grasp: give one of both.")
@@ -152,7 +152,7 @@ def find_start(
         kinematics = ArmKinematics(arm)
         seeds = np.empty((0, kinematics.n)) if near is None else near[None, cell.v_slices[k]][:, kinematics.columns]
         tries = [
-            arm_on_path(kinematics, samples, grasp.T_object_tool[k], roll=roll, effort=effort, near=seeds)
+            arm_on_path(kinematics, samples, grasp.T_object_tool[k], roll=roll, seed_factor=seed_factor, near=seeds)
             for roll in rolls[k]
         ]
         best = max(tries, key=lambda t: t.feasible[0].score if t.feasible else -np.inf)

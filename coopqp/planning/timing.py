@@ -39,8 +39,8 @@ SHARE = 0.98
 _EQUAL = 0.99
 #: Largest excess of limits between knots, as a share; above it knots are added, in this many rounds at most.
 _EXCESS, _ROUNDS = 2e-3, 6
-#: Room of a rate bound at rest, as a share of its coefficients, that counts as rounding.
-_LEAST_ROOM = 1e-9
+#: Slack of a rate bound at rest, as a share of its coefficients, that counts as rounding.
+_LEAST_SLACK = 1e-9
 #: Knots of the elbows are left out where their motion is known this well without them [rad or m].
 _KNOWN = 1e-8
 #: Knots of a path, and least knots of a stretch between corners.
@@ -312,14 +312,14 @@ def further_lines(
                     f"the rate bound {bound.name}{trouble}", "time_path: bounds", "See coopqp.RateBound."
                 ) from trouble
             a, b = a * pace**2, b * pace
-            least = _LEAST_ROOM * (np.abs(a) + np.abs(b))
+            least = _LEAST_SLACK * (np.abs(a) + np.abs(b))
             if (c < -least).any():
                 raise UnreachableError(
                     f"{bound.name}: the object cannot rest {mark + s:.3g} m along the path, so it cannot pass there. "
                     "Take a lighter payload, or move the path."
                 )
-            room = share * np.maximum(c, least + 1e-300)
-            parts.append((b / room, a / room, np.full(len(a), float(number))))
+            slack = share * np.maximum(c, least + 1e-300)
+            parts.append((b / slack, a / slack, np.full(len(a), float(number))))
         found.append(tuple(np.concatenate(x) for x in zip(*parts, strict=True)))  # type: ignore[arg-type]
     most = max(len(a) for a, _, _ in found)
     a, b, owner = (

@@ -10,14 +10,10 @@ import numpy as np
 import pinocchio as pin
 
 from coopqp.errors import InvalidInputError, UnknownNameError
-from coopqp.paths.path import LinePath, TimeLaw, WaypointPath
+from coopqp.paths.path import TimeLaw, WaypointPath
 from coopqp.paths.scenario import Scenario
-from coopqp.scenarios.stations import STANCES, Station, facing, put_together
+from coopqp.scenarios.stations import STANCES, Station, facing, moved, put_together
 from coopqp.scenarios.units import Radians, Seconds
-
-
-def _at(x: float, y: float, z: float) -> pin.SE3:
-    return pin.SE3(np.eye(3), np.array([x, y, z]))
 
 
 def dual_arm7(
@@ -35,9 +31,7 @@ def dual_arm7(
         duration: duration of the path [s].
         time_law: time law of the path.
     """
-    path = LinePath.displaced(
-        _at(0.0, 0.0, 0.25), translation=translation, rotation=rotation, duration=duration, time_law=time_law
-    )
+    path = moved(0.25, translation, rotation, duration, time_law)
     stations = facing("arm7", 0.30)
     return put_together("dual_arm7", stations, path, object_size=(0.60, 0.05, 0.05), object_mass=1.2)
 
@@ -47,13 +41,7 @@ def mixed_cell(*, duration: Seconds = 3.0, time_law: TimeLaw | str = TimeLaw.QUI
 
     Because of the continuous joint, the configuration has one number more than the velocity.
     """
-    path = LinePath.displaced(
-        _at(0.0, 0.0, 0.35),
-        translation=(0.06, -0.05, 0.15),
-        rotation=(0.15, -0.12, 0.20),
-        duration=duration,
-        time_law=time_law,
-    )
+    path = moved(0.35, (0.06, -0.05, 0.15), (0.15, -0.12, 0.20), duration, time_law)
     stations = [
         Station("rx90l", "rx90l", (-0.45, 0.0), 0.0),
         Station("arm7", "arm7", (0.0, 0.45), -90.0),
@@ -91,13 +79,8 @@ def ring(
     stance = STANCES[robot]._replace(height=0.25)
     radius = max(0.50, 0.50 * arms / (2.0 * np.pi))
     tilt = 0.10 / radius
-    path = LinePath.displaced(
-        _at(0.0, 0.0, stance.height),
-        translation=(0.05, 0.03, 0.18),
-        rotation=(0.6 * tilt, 0.6 * tilt, 0.5 * tilt),
-        duration=duration,
-        time_law=time_law,
-    )
+    turn = (0.6 * tilt, 0.6 * tilt, 0.5 * tilt)
+    path = moved(stance.height, (0.05, 0.03, 0.18), turn, duration, time_law)
     stations = []
     for k in range(arms):
         angle = 360.0 * k / arms
@@ -115,13 +98,7 @@ def scara_pair(*, tilt: Radians = 0.0, duration: Seconds = 3.0, time_law: TimeLa
         duration: duration of the path [s].
         time_law: time law of the path.
     """
-    path = LinePath.displaced(
-        _at(0.0, 0.0, 0.12),
-        translation=(0.05, 0.08, 0.06),
-        rotation=(tilt, 0.0, 0.30),
-        duration=duration,
-        time_law=time_law,
-    )
+    path = moved(0.12, (0.05, 0.08, 0.06), (tilt, 0.0, 0.30), duration, time_law)
     stations = facing("scara4", 0.20)
     return put_together("scara_pair", stations, path, object_size=(0.45, 0.04, 0.04), object_mass=0.8)
 
@@ -131,7 +108,7 @@ def five_joint_pair(*, duration: Seconds = 4.0, time_law: TimeLaw | str = TimeLa
 
     Together the arms can do only these motions. The path has two segments.
     """
-    start = _at(0.0, 0.0, 0.25)
+    start = pin.SE3(np.eye(3), np.array([0.0, 0.0, 0.25]))
     lifted = pin.SE3(pin.exp3(np.array([0.0, 0.20, 0.0])), np.array([0.04, 0.0, 0.35]))
     rolled = pin.SE3(lifted.rotation @ pin.exp3(np.array([0.40, 0.0, 0.0])), lifted.translation)
     path = WaypointPath([start, lifted, rolled], durations=[0.6 * duration, 0.4 * duration], time_law=time_law)

@@ -10,10 +10,9 @@ import pinocchio as pin
 
 from coopqp.checks import as_scalar
 from coopqp.errors import UnknownNameError
-from coopqp.paths.path import LinePath
 from coopqp.paths.scenario import EngineSettings, Scenario
 from coopqp.scenarios.paper import paper_lift
-from coopqp.scenarios.stations import STANCES, facing, put_together
+from coopqp.scenarios.stations import STANCES, facing, moved, put_together
 from coopqp.scenarios.units import Degrees, Kilograms, Metres, Newtons, Seconds
 
 #: Age of the wrenches when they arrive [s].
@@ -138,13 +137,7 @@ def palm_box(
         base_off: the right arm's base is off by 1 mm and 0.1°.
         duration: duration of the path [s].
     """
-    path = LinePath.displaced(
-        pin.SE3(np.eye(3), np.array([0.0, 0.0, 0.60])),
-        translation=(0.05, 0.05, 0.25),
-        rotation=(0.0, 0.0, 0.2),
-        duration=duration,
-        time_law="quintic",
-    )
+    path = moved(0.60, (0.05, 0.05, 0.25), (0.0, 0.0, 0.2), duration)
     stations = facing("rx90l", 0.20, STANCES["rx90l"]._replace(height=0.60))
     made = put_together("palm_box", stations, path, dt=0.005, object_size=(0.40, 0.30, 0.30), object_mass=mass)
     off = {"right": _along_the_diagonal(1e-3, 0.1)} if base_off else {}

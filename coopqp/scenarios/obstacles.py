@@ -13,11 +13,11 @@ from coopqp.collision.scene import CollisionScene
 from coopqp.errors import UnknownNameError
 from coopqp.model.inverse_kinematics import inverse_kinematics
 from coopqp.model.shapes import Body, Box, Capsule, Shape, Sphere
-from coopqp.paths.path import LinePath, TimeLaw
+from coopqp.paths.path import LinePath
 from coopqp.paths.scenario import Scenario
 from coopqp.scenarios.cells import dual_arm7, mixed_cell, ring
 from coopqp.scenarios.paper import paper_lift
-from coopqp.scenarios.stations import Station, put_together
+from coopqp.scenarios.stations import Station, moved, put_together
 from coopqp.scenarios.units import Radians, Seconds
 from coopqp.spatial import Array
 
@@ -92,10 +92,7 @@ def _side_by_side(
     name: str, half: float, yaw: float, translation: Sequence[float], rotation: Sequence[float], duration: float
 ) -> Scenario:
     """Two seven-joint arms that face one way, at ``half`` [m] from the middle of a bar, turned in by a yaw [deg]."""
-    start = pin.SE3(np.eye(3), np.array([0.0, 0.0, 0.30]))
-    path = LinePath.displaced(
-        start, translation=translation, rotation=rotation, duration=duration, time_law=TimeLaw.QUINTIC
-    )
+    path = moved(0.30, translation, rotation, duration)
     stations = [Station("arm7", arm, (0.0, y), turn) for arm, y, turn in (("left", half, -yaw), ("right", -half, yaw))]
     return put_together(name, stations, path, object_size=(0.05, 2.0 * half, 0.05), object_mass=1.5)
 

@@ -6,6 +6,7 @@ rotation is −40° about the master's x axis through A.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -24,6 +25,8 @@ BASE_DISTANCE_H, BASE_OFFSET_B = 3.60, 0.50
 #: The plate of the paper: length, width, thickness [m].
 PLATE_SIZE = (1.80, 0.80, 0.04)
 DURATION = 3.0
+#: The grasp triangle of Eq. (6) [m].
+ALPHA, BETA = 0.60, 0.30
 
 _NEAR_START_DEG = (
     (0.0, 65.4, 76.0, 180.0, 51.3, -90.0),
@@ -63,8 +66,8 @@ def lift_path(reach: Metres, height: Metres, duration: Seconds, time_law: TimeLa
 
 def paper_lift(
     *,
-    alpha: Metres = 0.60,
-    beta: Metres = 0.30,
+    alpha: Metres = ALPHA,
+    beta: Metres = BETA,
     h: Metres = BASE_DISTANCE_H,
     b: Metres = BASE_OFFSET_B,
     time_law: TimeLaw | str = TimeLaw.LINEAR,
@@ -79,21 +82,32 @@ def paper_lift(
         duration: duration of the path [s]; a step is a 400th of it.
     """
     cell = three_rx90l(h=h, b=b)
-    grasp = Grasp.triangle(alpha, beta)
     path = lift_path(0.90, 0.10, duration, time_law)
-    near = cell.configuration(np.deg2rad(np.concatenate(_NEAR_START_DEG)))
-    q_start = inverse_kinematics(cell, grasp, path.pose(0.0), near)
-    # The length of the plate is along y of A, an edge is at A; 1.80 x 0.80 m with the default grasp.
-    T_object_body = pin.SE3(np.eye(3), np.array([0.0, 1.5 * alpha, 0.0]))
+    return plate_lift("paper_lift", cell, path, _NEAR_START_DEG, alpha=alpha, beta=beta)
+
+
+def plate_lift(
+    name: str,
+    cell: RobotCell,
+    path: LinePath,
+    near: Sequence[Sequence[float]],
+    *,
+    alpha: Metres = ALPHA,
+    beta: Metres = BETA,
+) -> Scenario:
+    """The plate held by a triangle grasp; ``near``: joint positions of each arm near the start [deg]."""
+    grasp = Grasp.triangle(alpha, beta)
+    guess = cell.configuration(np.deg2rad(np.concatenate(near)))
     return Scenario(
-        name="paper_lift",
+        name=name,
         cell=cell,
         grasp=grasp,
         path=path,
-        q_start=q_start,
-        dt=duration / 400,
+        q_start=inverse_kinematics(cell, grasp, path.pose(0.0), guess),
+        dt=path.duration / 400,
+        # The length of the plate is along y of A, an edge is at A; 1.80 x 0.80 m with the default grasp.
         object_size=(max(PLATE_SIZE[1], 2.0 * beta), 3.0 * alpha, PLATE_SIZE[2]),
-        T_object_body=T_object_body,
+        T_object_body=pin.SE3(np.eye(3), np.array([0.0, 1.5 * alpha, 0.0])),
     )
 
 

@@ -2,12 +2,9 @@
 
 from __future__ import annotations
 
-import numpy as np
-import pinocchio as pin
-
-from coopqp.paths.path import LinePath, TimeLaw
+from coopqp.paths.path import TimeLaw
 from coopqp.paths.scenario import Scenario
-from coopqp.scenarios.stations import Station, facing, put_together
+from coopqp.scenarios.stations import Station, facing, moved, put_together
 from coopqp.scenarios.units import Seconds
 
 
@@ -22,13 +19,7 @@ def panda_bar(*, geometry: bool = True, duration: Seconds = 3.0, time_law: TimeL
     Raises:
         MissingExtraError: ``example-robot-data`` is not installed.
     """
-    path = LinePath.displaced(
-        pin.SE3(np.eye(3), np.array([0.0, 0.0, 0.30])),
-        translation=(0.06, 0.10, 0.20),
-        rotation=(0.30, 0.15, 0.20),
-        duration=duration,
-        time_law=time_law,
-    )
+    path = moved(0.30, (0.06, 0.10, 0.20), (0.30, 0.15, 0.20), duration, time_law)
     return put_together(
         "panda_bar", facing("panda", 0.40), path, object_size=(1.00, 0.04, 0.04), object_mass=3.0, geometry=geometry
     )
@@ -45,13 +36,7 @@ def ur5_table(*, geometry: bool = True, duration: Seconds = 3.0, time_law: TimeL
     Raises:
         MissingExtraError: ``example-robot-data`` is not installed.
     """
-    path = LinePath.displaced(
-        pin.SE3(np.eye(3), np.array([0.0, 0.0, 0.30])),
-        translation=(0.08, 0.05, 0.15),
-        rotation=(0.15, -0.12, 0.10),
-        duration=duration,
-        time_law=time_law,
-    )
+    path = moved(0.30, (0.08, 0.05, 0.15), (0.15, -0.12, 0.10), duration, time_law)
     stations = [
         Station("ur5", f"ur5_{k + 1}", (x, y), -90.0 if y > 0.0 else 90.0)
         for k, (x, y) in enumerate(((-0.5, -0.4), (0.5, -0.4), (0.5, 0.4), (-0.5, 0.4)))

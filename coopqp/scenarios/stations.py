@@ -11,7 +11,7 @@ import pinocchio as pin
 from coopqp.model.cell import Arm, RobotCell
 from coopqp.model.grasp import Grasp
 from coopqp.model.inverse_kinematics import inverse_kinematics
-from coopqp.paths.path import ObjectPath
+from coopqp.paths.path import LinePath, ObjectPath, TimeLaw
 from coopqp.paths.scenario import Scenario
 from coopqp.scenarios.arms import robot_arm
 from coopqp.spatial import Array
@@ -92,6 +92,18 @@ def _near(arm: Arm, near: tuple[float, ...]) -> Array:
     joints = list(arm.model.joints)[1:]  # the first is the world
     prismatic = [joint.shortname().startswith("JointModelP") for joint in joints]
     return np.where(prismatic, near, np.deg2rad(near))
+
+
+def moved(
+    height: float,
+    translation: Sequence[float],
+    rotation: Sequence[float],
+    duration: float,
+    time_law: TimeLaw | str = TimeLaw.QUINTIC,
+) -> LinePath:
+    """An object at a height above the origin [m] that moves by a translation [m] and a rotation vector [rad]."""
+    start = pin.SE3(np.eye(3), np.array([0.0, 0.0, height]))
+    return LinePath.displaced(start, translation=translation, rotation=rotation, duration=duration, time_law=time_law)
 
 
 def put_together(

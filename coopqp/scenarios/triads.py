@@ -8,18 +8,13 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-import pinocchio as pin
 
 from coopqp.model.cell import RobotCell
-from coopqp.model.grasp import Grasp
-from coopqp.model.inverse_kinematics import inverse_kinematics
 from coopqp.paths.path import TimeLaw
 from coopqp.paths.scenario import Scenario
 from coopqp.scenarios.arms import robot_arm
-from coopqp.scenarios.paper import DURATION, PLATE_SIZE, lift_path, slave_base
+from coopqp.scenarios.paper import DURATION, PLATE_SIZE, lift_path, plate_lift, slave_base
 from coopqp.scenarios.units import Seconds
-
-_ALPHA, _BETA = 0.60, 0.30
 
 
 class _Stand(NamedTuple):
@@ -28,56 +23,43 @@ class _Stand(NamedTuple):
     Attributes:
         reach, height: of a master: distance of A ahead of its base, and height of A above it, at the start [m].
         away, b: of a slave: distance of its base beyond the far edge of the plate, and to the side [m].
-        master, first, second: joint positions near the start [deg], as master, as slave 1 and as slave 2.
+        near: joint positions near the start [deg], as master, as slave 1 and as slave 2.
     """
 
     reach: float
     height: float
     away: float
     b: float
-    master: tuple[float, ...]
-    first: tuple[float, ...]
-    second: tuple[float, ...]
+    near: tuple[tuple[float, ...], ...]
 
 
 _STANDS = {
     "rx90l": _Stand(
-        0.90, 0.10, 0.85, 0.70, (0.0, 65.4, 76.0, 180.0, 51.3, -90.0),
-        (27.6, 69.6, 67.6, -144.5, 53.0, -113.2), (-27.6, 69.6, 67.6, 144.5, 53.0, -66.8),
+        0.90, 0.10, 0.85, 0.70, ((0.0, 65.4, 76.0, 180.0, 51.3, -90.0),
+        (27.6, 69.6, 67.6, -144.5, 53.0, -113.2), (-27.6, 69.6, 67.6, 144.5, 53.0, -66.8)),
     ),
     "kr16_2": _Stand(
-        1.40, 0.60, 1.20, 0.90, (0.0, -38.5, 83.4, 0.0, -44.9, -90.0),
-        (-29.9, -40.6, 88.2, -38.0, -54.2, -65.5), (29.9, -40.6, 88.2, 38.0, -54.2, -114.5),
+        1.40, 0.60, 1.20, 0.90, ((0.0, -38.5, 83.4, 0.0, -44.9, -90.0),
+        (-29.9, -40.6, 88.2, -38.0, -54.2, -65.5), (29.9, -40.6, 88.2, 38.0, -54.2, -114.5)),
     ),
     "irb1600": _Stand(
-        1.00, 0.30, 0.90, 0.70, (0.0, 55.7, -6.6, 0.0, -49.2, 90.0),
-        (25.6, 55.0, -5.1, 32.1, -54.5, 70.0), (-25.6, 55.0, -5.1, -32.1, -54.5, 110.0),
+        1.00, 0.30, 0.90, 0.70, ((0.0, 55.7, -6.6, 0.0, -49.2, 90.0),
+        (25.6, 55.0, -5.1, 32.1, -54.5, 70.0), (-25.6, 55.0, -5.1, -32.1, -54.5, 110.0)),
     ),
 }  # fmt: skip
 
 
 def _lift(name: str, robots: tuple[str, str, str], duration: float, time_law: TimeLaw | str) -> Scenario:
     """The paper's lift: master, slave 1 and slave 2 by the names of their robots."""
-    first, length = _STANDS[robots[0]], 3.0 * _ALPHA
+    first, length = _STANDS[robots[0]], PLATE_SIZE[0]
     arms = [robot_arm(robots[0], name="master")]
     for k, robot in enumerate(robots[1:], start=1):
         stand = _STANDS[robot]
         base = slave_base(stand.b if k == 1 else -stand.b, first.reach + length + stand.away)
         base.translation = base.translation + np.array([0.0, 0.0, first.height - stand.height])
         arms.append(robot_arm(robot, name=f"slave_{k}", T_world_base=base))
-    cell, grasp = RobotCell(arms), Grasp.triangle(_ALPHA, _BETA)
     path = lift_path(first.reach, first.height, duration, time_law)
-    near = np.deg2rad(np.concatenate([_STANDS[robot][4 + k] for k, robot in enumerate(robots)]))
-    return Scenario(
-        name=name,
-        cell=cell,
-        grasp=grasp,
-        path=path,
-        q_start=inverse_kinematics(cell, grasp, path.pose(0.0), cell.configuration(near)),
-        dt=duration / 400,
-        object_size=(PLATE_SIZE[1], PLATE_SIZE[0], PLATE_SIZE[2]),
-        T_object_body=pin.SE3(np.eye(3), np.array([0.0, 1.5 * _ALPHA, 0.0])),
-    )
+    return plate_lift(name, RobotCell(arms), path, [_STANDS[robot].near[k] for k, robot in enumerate(robots)])
 
 
 def kuka_lift(*, duration: Seconds = DURATION, time_law: TimeLaw | str = TimeLaw.LINEAR) -> Scenario:

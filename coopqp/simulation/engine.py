@@ -63,12 +63,12 @@ def engine_controller(scenario: Scenario, plant: PhysicsPlant) -> Controller:
     """The controller that a scenario runs with in the engine.
 
     Raises:
-        InvalidInputError: arms on torque-controlled drives are to mind forces.
+        InvalidInputError: arms on torque-controlled drives are to monitor forces.
     """
     given = scenario.engine or EngineSettings()
     if given.forces is not None and not plant.servoed:
         raise InvalidInputError(
-            f"forces are minded through servos, not drives by {plant.options.servo}",
+            f"forces are monitored through servos, not drives by {plant.options.servo}",
             f"scenario {scenario.name}: engine",
             'Give servo="position", or forces=None.',
         )

@@ -51,7 +51,7 @@ def simulate(
 
     Args:
         controller: the controller; it is reset at the plant's measured configuration. One with a true attribute
-            ``minds_wrenches`` is asked as ``step(q, wrenches=…)``, as :class:`coopqp.ForceController` is.
+            ``needs_wrenches`` is asked as ``step(q, wrenches=…)``, as :class:`coopqp.ForceController` is.
         plant: the plant; by default an ideal :class:`KinematicPlant`.
         q_start: start configuration (nq,); by default :func:`coopqp.find_start` finds one.
         duration: longest run [s]; by default ten times the path's duration, because a slowed object takes longer.
@@ -90,7 +90,7 @@ def simulate(
         raise InvalidInputError(f"a {type(metadata).__name__}", "simulate: metadata", "Give a dictionary.")
     if q_start is None:
         q_start = planning.find_start(cell, controller.grasp, controller.path).q
-    ask = _asking(controller, plant)
+    ask = _step_call(controller, plant)
     if loads and not hasattr(plant, "sensed_wrenches"):
         raise InvalidInputError(f"a {type(plant).__name__} has no forces", "simulate: loads", "Give a PhysicsPlant.")
     measured = plant.reset(q_start)
@@ -120,9 +120,9 @@ def simulate(
     return recorder.recording({**held, **(metadata or {})})
 
 
-def _asking(controller: Controller, plant: Plant) -> Callable[[Array], ControlStep]:
+def _step_call(controller: Controller, plant: Plant) -> Callable[[Array], ControlStep]:
     """The call for a step of a controller; a force controller also gets the wrenches."""
-    if not getattr(controller, "minds_wrenches", False):
+    if not getattr(controller, "needs_wrenches", False):
         return controller.step
     wrenches: Callable[[], Array] | None = getattr(plant, "measured_wrenches", None)
     if wrenches is None:
@@ -131,7 +131,7 @@ def _asking(controller: Controller, plant: Plant) -> Callable[[Array], ControlSt
         )
     if getattr(controller, "needs_servos", False) and not getattr(plant, "servoed", True):
         raise InvalidInputError(
-            f"forces are minded through servos, not torques: a {type(controller).__name__} on torque-controlled drives",
+            f"a {type(controller).__name__} monitors forces through servos, not by torque-controlled drives",
             "simulate: plant",
             'Give PhysicsOptions(servo="position"), or the QPController without forces.',
         )

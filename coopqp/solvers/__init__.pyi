@@ -1,16 +1,8 @@
-from .base import Outcome as Outcome
-from .base import QpSolver as QpSolver
-from .base import SolverSettings as SolverSettings
-from .base import Workspace as Workspace
-from .choice import available_solvers as available_solvers
-from .choice import default_solver as default_solver
-from .choice import make_solver as make_solver
+from .base import Outcome as Outcome, QpSolver as QpSolver, SolverSettings as SolverSettings, Workspace as Workspace
+from .choice import available_solvers as available_solvers, default_solver as default_solver, make_solver as make_solver
 from .daqp import DaqpSettings as DaqpSettings
-from .generic import GenericSettings as GenericSettings
-from .generic import GenericSolver as GenericSolver
+from .generic import GenericSettings as GenericSettings, GenericSolver as GenericSolver
 from .ldp import LdpSettings as LdpSettings
 from .osqp import OsqpSettings as OsqpSettings
-from .problem import QpProblem as QpProblem
-from .problem import QpSolution as QpSolution
-from .problem import SolverStatus as SolverStatus
+from .problem import QpProblem as QpProblem, QpSolution as QpSolution, SolverStatus as SolverStatus
 from .proxqp import ProxqpSettings as ProxqpSettings

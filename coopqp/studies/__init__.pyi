@@ -1,16 +1,7 @@
 from .dispatch import run_rows as run_rows
-from .engines import Cluster as Cluster
-from .engines import Engine as Engine
-from .engines import Local as Local
-from .errors import EngineError as EngineError
-from .errors import StudyError as StudyError
-from .placement import PlaceStudy as PlaceStudy
-from .placement import load_place_study as load_place_study
-from .placing import ArmPlaced as ArmPlaced
-from .placing import CellPlaced as CellPlaced
-from .placing import Goals as Goals
-from .placing import Placer as Placer
-from .study import Study as Study
-from .study import load_study as load_study
-from .sweeping import Sweep as Sweep
-from .sweeping import sweep as sweep
+from .engines import Cluster as Cluster, Engine as Engine, Local as Local
+from .errors import EngineError as EngineError, StudyError as StudyError
+from .placement import PlaceStudy as PlaceStudy, load_place_study as load_place_study
+from .placing import ArmPlaced as ArmPlaced, CellPlaced as CellPlaced, Goals as Goals, Placer as Placer
+from .study import Study as Study, load_study as load_study
+from .sweeping import Sweep as Sweep, sweep as sweep

@@ -275,7 +275,7 @@ class Placer:
                 why=trouble(found),
             )
         row = max(found.feasible, key=lambda row: tuple(sorted(round(s, 6) for s in self._shares(kinematics, row))))
-        q = kinematics.ways(poses, row.q[None])[0][0]
+        q = kinematics.trajectories(poses, row.q[None])[0][0]
         speed = kinematics.arm.limits.velocity[kinematics.columns]
         j = int(np.argmin(row.margins / self._units(kinematics)))
         return ArmPlaced(
@@ -328,7 +328,7 @@ class Placer:
             poses = np.linalg.inv(base.homogeneous) @ self.samples.tool_poses(X)
             rest = np.clip(np.zeros(own.stop - own.start), cell.limits.lower[own], cell.limits.upper[own])
             way = np.tile(rest, (len(poses), 1))
-            way[:, kinematics.columns] = kinematics.ways(poses, arm.q[None])[0][0]
+            way[:, kinematics.columns] = kinematics.trajectories(poses, arm.q[None])[0][0]
             ways.append(way)
         return np.hstack(ways)
 

@@ -23,7 +23,7 @@ from coopqp.model.grasp import Grasp
 from coopqp.paths.scenario import Scenario
 from coopqp.scenarios import SCENARIOS
 from coopqp.simulation.evaluation import metrics
-from coopqp.simulation.evaluation.assessment import Tolerances, judge, why
+from coopqp.simulation.evaluation.assessment import Tolerances, evaluate, why
 from coopqp.simulation.evaluation.closeness import with_clearance
 from coopqp.simulation.evaluation.figures import worst_status
 from coopqp.simulation.evaluation.readings import Readings, read_run
@@ -141,7 +141,7 @@ class RowTask:
             recording = with_clearance(recording, ready.scene, avoided=ready.avoids)
         readings = read_run(s.cell, recording)
         tolerances = build_options(Tolerances, settings.verdict)
-        causes = why(judge(s.cell, recording, readings, tolerances=tolerances))
+        causes = why(evaluate(s.cell, recording, readings, tolerances=tolerances))
         return {
             "outcome": OK,
             "reason": "; ".join(causes),
@@ -156,7 +156,7 @@ class RowTask:
 def _figures(ready: _Ready, recording: Recording, readings: Readings) -> dict[str, Any]:
     cell = ready.scenario.cell
     x = cell.positions(recording.q_command)
-    room = np.minimum(x - cell.limits.lower, cell.limits.upper - x).min(axis=0)
+    margin = np.minimum(x - cell.limits.lower, cell.limits.upper - x).min(axis=0)
     sliding = np.array(slides(cell))
     speed = (np.abs(recording.velocity) / cell.limits.velocity).max(initial=0.0)
     changes = np.diff(recording.velocity[:, ~sliding], axis=0)
@@ -170,8 +170,8 @@ def _figures(ready: _Ready, recording: Recording, readings: Readings) -> dict[st
         "rate_min": float(recording.rate.min(initial=1.0)),
         "object_end_mm": float(readings.object_mm[-1]),
         "sigma_min": float(readings.sigma_min.min()),
-        "margin_deg": float(np.rad2deg(room[~sliding].min(initial=np.inf))),
-        "margin_mm": float(1e3 * room[sliding].min(initial=np.inf)),
+        "margin_deg": float(np.rad2deg(margin[~sliding].min(initial=np.inf))),
+        "margin_mm": float(1e3 * margin[sliding].min(initial=np.inf)),
         "speed_share": float(speed),
         "unrest_deg_per_s": float(np.rad2deg(np.sqrt(np.mean(changes**2)))) if changes.size else 0.0,
         "closest_mm": 1e3 * float((entry or {}).get("closest_m", float("nan"))),

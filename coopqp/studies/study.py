@@ -22,6 +22,7 @@ from coopqp.errors import CoopqpError, UnknownNameError, shown
 from coopqp.files.cellfile.basic import FilePath, Name, Seconds, exactly_one
 from coopqp.files.cellfile.explain import explain
 from coopqp.files.cellfile.paths import resolve
+from coopqp.files.cellfile.renamed import renewed
 from coopqp.files.cellfile.schema import (
     MAX_STEPS,
     CellFile,
@@ -202,7 +203,7 @@ class Study:
         for key, value in (*changes.items(), *((k, v) for k, v in values.items() if k != "case")):
             put(data, key, copy.deepcopy(value))
         disturbed = data.pop("disturbances")
-        return data, disturbed
+        return renewed(data, "the study"), disturbed
 
     def settings(self, values: Mapping[str, Any]) -> tuple[CellFile | ScenarioFile, DisturbancesTable]:
         """The checked settings of a row.

@@ -30,10 +30,10 @@ def name_and_unit(study: Study, key: str) -> tuple[str, str]:
         *name, last, _ = name
     if name and last in _UNITS:
         return "_".join(name) + entry, last + per
-    return key, _told(study, key)
+    return key, _unit_in_words(study, key)
 
 
-def _told(study: Study, key: str) -> str:
+def _unit_in_words(study: Study, key: str) -> str:
     """The unit that the meaning of a key tells; empty if it tells none."""
     table, _, rest = key.partition(".")
     if study.scenario and table == "scenario":

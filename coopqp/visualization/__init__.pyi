@@ -1,21 +1,11 @@
-from .calibration import calibration_figure as calibration_figure
-from .calibration import write_calibration as write_calibration
+from .calibration import calibration_figure as calibration_figure, write_calibration as write_calibration
 from .joints import joint_figure as joint_figure
-from .loads import load_figure as load_figure
-from .loads import run_loads_figure as run_loads_figure
-from .loads import write_load_use as write_load_use
+from .loads import load_figure as load_figure, run_loads_figure as run_loads_figure, write_load_use as write_load_use
 from .placements import placement_figure as placement_figure
-from .plots import error_figure as error_figure
-from .plots import motion_figure as motion_figure
-from .profile import profile_figure as profile_figure
-from .profile import write_speed_profile as write_speed_profile
-from .renderer import Solid as Solid
-from .renderer import View as View
-from .renderer import box_solid as box_solid
-from .renderer import cell_solids as cell_solids
-from .renderer import render as render
+from .plots import error_figure as error_figure, motion_figure as motion_figure
+from .profile import profile_figure as profile_figure, write_speed_profile as write_speed_profile
+from .renderer import Solid as Solid, View as View, box_solid as box_solid, cell_solids as cell_solids, render as render
 from .report import write_report as write_report
 from .style import save_figure as save_figure
 from .sweeps import sweep_figure as sweep_figure
-from .viewer import LiveViewer as LiveViewer
-from .viewer import export_html as export_html
+from .viewer import LiveViewer as LiveViewer, export_html as export_html

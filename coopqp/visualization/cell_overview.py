@@ -95,7 +95,7 @@ class Glance:
     short: Mapping[str, float]
     reaches: Mapping[str, Reach]
 
-    def said(self) -> list[str]:
+    def lines(self) -> list[str]:
         """The verdict, and what the check says, in lines."""
         return [self.check.verdict.value, *self.check.explain().splitlines()]
 
@@ -221,7 +221,7 @@ def glance_figure(found: Glance, *, pixels: int = 900) -> Figure:
     view = replace(view, top=view.top + 0.08 * (view.top - view.bottom))
     picture = render([scene], view, width=pixels)[0]
     height, width = picture.shape[:2]
-    lines = [line for text in found.said()[:_LINES] for line in textwrap.wrap(text, 118)]
+    lines = [line for text in found.lines()[:_LINES] for line in textwrap.wrap(text, 118)]
     lines += ["Dashed: how far the arm comes at the height of its grasp."] if any(map(len, rings.values())) else []
     shown, below = WIDTH * height / width, 0.25 + 0.19 * len(lines)
     figure = new_figure(WIDTH, shown + below)

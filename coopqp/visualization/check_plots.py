@@ -15,8 +15,8 @@ from coopqp.visualization.style import (
     COLOURS,
     INK,
     RED,
-    WIDTH,
     add_legend,
+    arm_grid,
     hide_rest,
     label,
     legend_columns,
@@ -48,9 +48,7 @@ def check_figure(check: PathCheck) -> Figure:
     """
     shown = [k for k, arm in enumerate(check.arms) if arm.chosen is not None]
     shown = sorted(sorted(shown, key=lambda k: _tightness(check, k))[:_MOST_ARMS])
-    columns = min(3, len(shown)) or 1
-    blocks = -(-len(shown) // columns)
-    width = WIDTH if columns > 1 else 7.0
+    columns, blocks, width = arm_grid(len(shown))
     kinematics = {k: ArmKinematics(check.cell.arms[k]) for k in shown}
     names = {
         k: [label(n) for n, b in zip(check.arms[k].joints, kinematics[k].bounded, strict=True) if b] for k in shown
@@ -58,7 +56,7 @@ def check_figure(check: PathCheck) -> Figure:
     fits = {k: legend_columns(names[k], (width - 1.0) / columns, size=_SIZE) for k in shown if names[k]}
     legend = max((legend_height(names[k], fits[k], size=_SIZE) for k in fits), default=0.3)
     bodies = check.clearance if check.clearance is not None and check.clearance.pair is not None else None
-    height = max(blocks, 1) * (5.0 + legend) + 0.6 + (_DISTANCES if bodies else 0.0)
+    height = blocks * (5.0 + legend) + 0.6 + (_DISTANCES if bodies else 0.0)
     figure = new_figure(width, height, layout="constrained")
     if not shown:
         figure.text(0.5, 0.5, "No arm reaches its grasp at the start of the path.", ha="center", color=INK)

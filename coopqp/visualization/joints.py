@@ -14,8 +14,8 @@ from coopqp.visualization.style import (
     COLOURS,
     INK,
     RED,
-    WIDTH,
     add_legend,
+    arm_grid,
     hide_rest,
     label,
     legend_columns,
@@ -52,9 +52,7 @@ def joint_figure(cell: RobotCell, recording: Recording) -> Figure:
     )
     starts, speed = np.append(starts, recording.time[-1]), np.concatenate([speed, speed[-1:]])
     shown = _tightest(cell, position, speed)
-    columns = len(shown) if len(shown) <= 3 else 2 if len(shown) == 4 else 3
-    blocks = -(-len(shown) // columns)
-    width = WIDTH if columns > 1 else 7.0
+    columns, blocks, width = arm_grid(len(shown), most=2 if len(shown) == 4 else 3)
     names = {k: _names(cell, k) for k in shown}
     fits = {k: legend_columns(names[k], (width - _EDGE) / columns, size=_SIZE) for k in shown}
     legend = max(legend_height(names[k], fits[k], size=_SIZE) for k in shown)

@@ -11,7 +11,7 @@ from coopqp.forces.utilisation import LoadUse
 from coopqp.model.cell import RobotCell
 from coopqp.simulation.evaluation.wrenches import RunLoads
 from coopqp.visualization.curves import drawn
-from coopqp.visualization.style import COLOURS, FAINT, INK, new_figure, open_frame, save_figure
+from coopqp.visualization.style import COLOURS, FAINT, INK, legend_beside, new_figure, save_figure
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -38,8 +38,7 @@ def load_figure(use: LoadUse) -> Figure:
         axes.axhline(100.0, color=INK, linewidth=1.0, linestyle=(0, (4, 3)))
         axes.set_ylim(0.0, 110.0)
         axes.set_ylabel(f"{what}\n[% of its limit]")
-        axes.legend(loc="upper left", bbox_to_anchor=(1.01, 1.0), frameon=False, fontsize=9)
-        open_frame(axes)
+        legend_beside(axes)
         if not use.feasible:
             axes.fill_between(use.time, 0.0, 110.0, where=use.share < 1.0, color=FAINT, alpha=0.3, linewidth=0.0)
     least = 100.0 * float(use.share.min())
@@ -80,8 +79,7 @@ def run_loads_figure(cell: RobotCell, loads: RunLoads) -> Figure:
     if 0 < loads.moves < len(loads.time):
         force.axvspan(0.0, loads.time[loads.moves], color=FAINT, alpha=0.2, lw=0.0, label="before it moves")
     for axes in panels:
-        axes.legend(loc="upper left", bbox_to_anchor=(1.01, 1.0), frameon=False, fontsize=9)
-        open_frame(axes)
+        legend_beside(axes)
     force.set_xlim(0.0, float(loads.time[-1]))
     return figure
 

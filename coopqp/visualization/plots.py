@@ -233,6 +233,6 @@ def _cycle(items: Sequence[Any], n: int) -> list[Any]:
 def _at_most(value: float, unit: str) -> str:
     """A text: errors are at most a value, with three digits; a small one has two digits and a power of ten."""
     if not metrics.ROUNDING <= value < 1e-3:
-        return ("≤ " if value >= metrics.ROUNDING else "") + metrics.said(value, unit)
+        return ("≤ " if value >= metrics.ROUNDING else "") + metrics.error_text(value, unit)
     mantissa, exponent = f"{value:.1e}".split("e")
     return rf"≤ ${mantissa}\cdot 10^{{{int(exponent)}}}${unit}"

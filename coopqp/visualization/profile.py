@@ -9,7 +9,7 @@ import numpy as np
 
 from coopqp.model.limits import LimitKind
 from coopqp.paths.timed import TimedPath
-from coopqp.visualization.style import INK, label, new_figure, open_frame, save_figure
+from coopqp.visualization.style import INK, label, legend_beside, new_figure, save_figure
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -73,8 +73,7 @@ def profile_figure(path: TimedPath) -> Figure:
         for kind, hatch in hatches.items()
         if kinds[kind] >= _LEAST_SHARE * path.duration
     ]
-    axes.legend(handles=handles, loc="upper left", bbox_to_anchor=(1.01, 1.0), frameon=False, fontsize=9)
-    open_frame(axes)
+    legend_beside(axes, handles=handles)
     return figure
 
 

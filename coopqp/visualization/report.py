@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 from coopqp.checks import require
 from coopqp.model.cell import RobotCell
 from coopqp.output import check_file, write_files
-from coopqp.simulation.evaluation.assessment import Finding, Tolerances, judge, why
+from coopqp.simulation.evaluation.assessment import Finding, Tolerances, evaluate, why
 from coopqp.simulation.evaluation.figures import run_figures
 from coopqp.simulation.evaluation.readings import Readings, read_run
 from coopqp.simulation.evaluation.wrenches import read_loads
@@ -89,7 +89,7 @@ def report_html(
     tell("measuring the run")
     cell = recording.cell() if cell is None else cell
     readings = read_run(cell, recording)
-    findings = judge(cell, recording, readings, tolerances=tolerances)
+    findings = evaluate(cell, recording, readings, tolerances=tolerances)
     title, made = _title(recording)
     figures = _figures(cell, recording, readings)
     tell("drawing the plots")

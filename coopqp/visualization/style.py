@@ -8,7 +8,8 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from coopqp.errors import InvalidInputError, MissingExtraError, printable
+from coopqp.errors import InvalidInputError, printable
+from coopqp.lazy import needed
 from coopqp.output import write_files
 
 if TYPE_CHECKING:
@@ -35,10 +36,7 @@ _HANDLE, _PAD, _LINE = 24.0, 14.0, 1.45  # widths of a legend's handle and gap [
 
 def require_matplotlib() -> None:
     """Raise MissingExtraError unless Matplotlib can be imported."""
-    try:
-        import matplotlib.figure  # noqa: F401
-    except ImportError as error:
-        raise MissingExtraError("plot", "matplotlib") from error
+    needed("matplotlib.figure", "plot", "matplotlib")
 
 
 def new_figure(width: float, height: float, **options: Any) -> Figure:
@@ -84,6 +82,18 @@ def plain(axes: Axes) -> None:
     open_frame(axes)
     axes.spines[["left", "bottom"]].set_color(FAINT)
     axes.tick_params(colors=INK, labelsize=10.5, which="both")
+
+
+def legend_beside(axes: Axes, **options: Any) -> None:
+    """The legend on the right of the axes, whose frame is open."""
+    axes.legend(loc="upper left", bbox_to_anchor=(1.01, 1.0), frameon=False, fontsize=9, **options)
+    open_frame(axes)
+
+
+def arm_grid(shown: int, *, most: int = 3) -> tuple[int, int, float]:
+    """Columns (at most so many) and blocks of rows for a block of panels an arm, and the figure's width [inches]."""
+    columns = min(most, shown) or 1
+    return columns, max(-(-shown // columns), 1), WIDTH if columns > 1 else 7.0
 
 
 def hide_rest(panels: Any, shown: int) -> None:

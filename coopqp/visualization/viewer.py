@@ -11,7 +11,7 @@ import html
 import io
 import textwrap
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -19,11 +19,11 @@ import numpy as np
 
 from coopqp.checks import as_scalar
 from coopqp.control.interface import Status
-from coopqp.errors import CoopqpError, InvalidInputError, MissingExtraError
+from coopqp.errors import CoopqpError, InvalidInputError
+from coopqp.lazy import needed
 from coopqp.output import check_file, write_files
 from coopqp.simulation.evaluation.figures import worst_status
 from coopqp.simulation.recording.recording import Recording
-from coopqp.simulation.simulate import ProgressCallback
 from coopqp.visualization.cell_overview import Glance, shortfall
 from coopqp.visualization.guarded import guarded_servers
 from coopqp.visualization.run_view import ALERT, FIELD_OF_VIEW, READOUT_SHARE, Stage
@@ -62,11 +62,7 @@ def require_viser() -> Any:
     Raises:
         MissingExtraError: viser is not installed.
     """
-    try:
-        import viser
-    except ImportError as error:
-        raise MissingExtraError("viewer", "viser") from error
-    return viser
+    return needed("viser", "viewer", "viser")
 
 
 def _serve(viser: Any, host: str, port: int) -> Any:
@@ -79,6 +75,18 @@ def _serve(viser: Any, host: str, port: int) -> Any:
         _stop(server)
         raise
     return server
+
+
+@contextlib.contextmanager
+def _offline(page: Path) -> Iterator[Any]:
+    """A server whose scene becomes a page."""
+    viser = require_viser()
+    check_file(page)
+    server = _serve(viser, "127.0.0.1", 0)
+    try:
+        yield server
+    finally:
+        _stop(server)
 
 
 def _opened(host: str, port: int) -> Any:
@@ -161,10 +169,8 @@ def export_html(
         OutputError: the file cannot be written.
         MissingExtraError: viser is not installed.
     """
-    viser, page = require_viser(), Path(file)
-    check_file(page)
-    server = _serve(viser, "127.0.0.1", 0)
-    try:
+    page = Path(file)
+    with _offline(page) as server:
         stage = Stage(server.scene, recording, sticks=sticks)
         _frame_camera(server, stage)
         hud = server.scene.add_label(
@@ -186,8 +192,6 @@ def export_html(
             if progress is not None:
                 progress(done, n_frames)
         document: str = serializer.as_html()
-    finally:
-        _stop(server)
     name, made = title_of(recording)
     card = _CARD.format(title=html.escape(name), subtitle=html.escape(made))
     return _write_page(page, document, card)
@@ -219,10 +223,13 @@ class LiveViewer:
     def __init__(
         self, recording: Recording, *, host: str = "127.0.0.1", port: int = 8080, sticks: bool = False
     ) -> None:
+        self._open(lambda: self._show_run(recording), host=host, port=port, sticks=sticks)
+
+    def _open(self, show: Callable[[], None], *, host: str, port: int, sticks: bool) -> None:
         self._sticks = sticks
         self._server = _opened(host, port)
         try:
-            self._show_run(recording)
+            show()
         except BaseException:
             _stop(self._server)
             raise
@@ -302,7 +309,7 @@ class CellViewer(LiveViewer):
 
     Args:
         found: the cell at a glance.
-        run: runs it, when Run is pressed; called with a callback for the progress.
+        run: runs it, when Run is pressed; called with ``progress``, as in :func:`coopqp.simulate`.
         more: further lines.
         host, port, sticks: as for :class:`LiveViewer`.
 
@@ -313,32 +320,26 @@ class CellViewer(LiveViewer):
     def __init__(
         self,
         found: Glance,
-        run: Callable[[ProgressCallback], Recording],
+        run: Callable[..., Recording],
         *,
         more: str = "",
         host: str = "127.0.0.1",
         port: int = 8080,
         sticks: bool = False,
     ) -> None:
-        self._sticks, self._run, self._asked, self._is_run = sticks, run, False, False
-        self._server = _opened(host, port)
-        try:
-            self.stage = Stage(self._server.scene, found.recording(), sticks=sticks)
-            self.stage.put_object(found.pose)
-            mark_glance(self._server.scene, found)
-            _frame_camera(self._server, self.stage)
-            gui = self._server.gui
-            gui.configure_theme(show_share_button=False)
-            verdict, *lines = [*found.said(), *more.splitlines()]
-            told = "\n\n".join(_plain(line) for line in lines)
-            gui.add_markdown(f"**{_plain(found.name.replace('_', ' '))}**\n\n**{_plain(verdict)}**\n\n{told}")
-            self._button = gui.add_button("Run", color="blue")
-            self._button.on_click(lambda _: self._press())
-            self._text = gui.add_markdown("")
-        except BaseException:
-            _stop(self._server)
-            raise
-        self.url = f"http://{host}:{self._server.get_port()}"
+        self._run, self._asked, self._is_run = run, False, False
+        self._open(lambda: self._show_cell(found, more), host=host, port=port, sticks=sticks)
+
+    def _show_cell(self, found: Glance, more: str) -> None:
+        self.stage = _glance_stage(self._server, found, sticks=self._sticks)
+        gui = self._server.gui
+        gui.configure_theme(show_share_button=False)
+        verdict, *lines = [*found.lines(), *more.splitlines()]
+        told = "\n\n".join(_plain(line) for line in lines)
+        gui.add_markdown(f"**{_plain(found.name.replace('_', ' '))}**\n\n**{_plain(verdict)}**\n\n{told}")
+        self._button = gui.add_button("Run", color="blue")
+        self._button.on_click(lambda _: self._press())
+        self._text = gui.add_markdown("")
 
     def _press(self) -> None:
         self._asked = True
@@ -358,7 +359,7 @@ class CellViewer(LiveViewer):
                     self._text.content = f"running: {min(percent, 100)} %"
 
             try:
-                recording = self._run(progress)
+                recording = self._run(progress=progress)
             except CoopqpError as error:
                 self._text.content = f"**refused**\n\n{_plain(' '.join(str(error).split()))}"
                 self._button.disabled = False
@@ -380,22 +381,24 @@ def mark_glance(scene: Any, found: Glance) -> None:
         scene.add_label(f"/missed/{name}", shortfall(found, name), position=wanted, anchor="top-left")
 
 
+def _glance_stage(server: Any, found: Glance, *, sticks: bool) -> Stage:
+    """The scene of a cell before it runs, on a server."""
+    stage = Stage(server.scene, found.recording(), sticks=sticks)
+    stage.put_object(found.pose)
+    mark_glance(server.scene, found)
+    _frame_camera(server, stage)
+    return stage
+
+
 def export_glance(found: Glance, file: str | Path, *, more: str = "", sticks: bool = False) -> Path:
     """Write what :class:`CellViewer` shows as one offline page, without Run. Errors as of :func:`export_html`."""
-    viser, page = require_viser(), Path(file)
-    check_file(page)
-    server = _serve(viser, "127.0.0.1", 0)
-    try:
-        stage = Stage(server.scene, found.recording(), sticks=sticks)
-        stage.put_object(found.pose)
-        mark_glance(server.scene, found)
-        _frame_camera(server, stage)
+    page = Path(file)
+    with _offline(page) as server:
+        _glance_stage(server, found, sticks=sticks)
         serializer = server.get_scene_serializer()
         serializer.insert_sleep(1.0)
         document: str = serializer.as_html()
-    finally:
-        _stop(server)
-    verdict, *lines = [*found.said(), *more.splitlines()]
+    verdict, *lines = [*found.lines(), *more.splitlines()]
     told = "<br>".join(html.escape(line) for line in lines)
     card = _CARD.format(title=html.escape(f"{found.name.replace('_', ' ')}: {verdict}"), subtitle=told)
     return _write_page(page, document, card)

@@ -8,7 +8,7 @@ import pinocchio as pin
 
 from coopqp import Arm, Grasp, LinePath, QPController, RobotCell, inverse_kinematics, simulate
 from coopqp.scenarios import robot_path
-from coopqp.simulation import judge, read_run
+from coopqp.simulation import evaluate, read_run
 
 my_arm = robot_path("arm7")  # comes with coopqp; put the path of your URDF here: "my_arm.urdf"
 
@@ -44,7 +44,7 @@ q_start = inverse_kinematics(cell, grasp, start, guess)
 # 5. Control it, and judge the run from its configurations alone.
 controller = QPController(cell, grasp, path, dt=0.002)
 recording = simulate(controller, q_start=q_start)
-for finding in judge(cell, recording, read_run(cell, recording)):
+for finding in evaluate(cell, recording, read_run(cell, recording)):
     print("yes" if finding.holds else "NO ", finding.question, finding.answer)
 
 if "--view" in sys.argv:

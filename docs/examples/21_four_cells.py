@@ -4,7 +4,7 @@ import sys
 from pathlib import Path
 
 from coopqp import check_path, load_cell_file
-from coopqp.simulation import judge, read_run
+from coopqp.simulation import evaluate, read_run
 
 CELLS = Path(__file__).parent / "cells"
 runs = {}
@@ -15,7 +15,7 @@ for name in ("two_ur10", "panda_and_ur5", "pandas_and_ur5s", "gantry_and_ur5"):
     task = run.scenario
     check = check_path(task.cell, task.grasp, task.path, q_start=task.q_start)
     recording = run.run()
-    findings = judge(task.cell, recording, read_run(task.cell, recording))
+    findings = evaluate(task.cell, recording, read_run(task.cell, recording))
     finished = f"{check.verdict.value}, finished {recording.finished}"
     print(f"{name}: {finished}, all checks hold: {all(finding.holds for finding in findings)}")
     runs[name] = task, recording

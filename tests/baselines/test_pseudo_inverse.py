@@ -8,9 +8,9 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from hypothesis import given, settings, strategies as st
 from numpy.typing import NDArray
+from runs import of_the_paper
 
 from coopqp import (
     Grasp,
@@ -42,13 +42,7 @@ Baseline = Callable[..., Recording]
 
 
 def controller(task: Scenario, steps: int = 40, **options: Any) -> PseudoInverseController:
-    made = PseudoInverseController(
-        task.cell,
-        task.grasp,
-        task.path,
-        dt=task.path.duration / steps,
-        options=PseudoInverseOptions(**options),
-    )
+    made = of_the_paper(task, steps, **options)
     made.reset(task.q_start)
     return made
 

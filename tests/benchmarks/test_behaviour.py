@@ -17,6 +17,8 @@ import behaviour
 import numpy as np
 import pytest
 from marks import slow_but_first
+from places import BENCHMARKS
+from runs import drive
 
 from coopqp import BindingLimit, ControlStep, InvalidInputError, LimitKind, Status
 from coopqp.baselines import IndependentQPController, IndependentQPOptions
@@ -36,7 +38,6 @@ from coopqp.simulation.evaluation.metrics import chain_errors, errors_from, obje
 from coopqp.solvers import QpProblem, QpSolution, SolverStatus
 
 NIGHTLY = os.environ.get("HYPOTHESIS_PROFILE") == "nightly"
-BENCHMARKS = Path(__file__).parents[2] / "benchmarks"
 #: Keys and types of every flat record.
 CONTRACT = {
     "case", "controller", "solver", "chain_mm", "chain_deg", "path_mm", "path_deg", "failures", "finished", "rate_min",
@@ -244,10 +245,7 @@ def alone(task: Scenario, *, steps: int = 300, dt: float | None = None, **option
     made = IndependentQPOptions(**options)
     controller = IndependentQPController(task.cell, task.grasp, task.path, dt=dt or task.dt, options=made)
     controller.reset(task.q_start)
-    done: list[ControlStep] = []
-    while len(done) < steps and not (done and done[-1].finished):
-        done.append(controller.step())
-    return done
+    return drive(controller, steps)
 
 
 def errors_of(task: Scenario, steps: list[ControlStep]) -> tuple[float, float]:

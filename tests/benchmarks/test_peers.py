@@ -14,6 +14,7 @@ from xml.etree import ElementTree
 import numpy as np
 import pinocchio as pin
 import pytest
+from places import BENCHMARKS
 
 from coopqp import CollisionScene, QPController, Status
 from coopqp.collision import Body, Hull
@@ -21,16 +22,15 @@ from coopqp.native import available_kernels
 from coopqp.scenarios import plate_and_post
 from coopqp.simulation import tool_placements
 
-BENCHMARKS = Path(__file__).parents[2] / "benchmarks"
 sys.path.insert(0, str(BENCHMARKS / "peers"))
 
-import common  # noqa: E402
-import compare_peers  # noqa: E402
-import contestants  # noqa: E402
-import export_cell  # noqa: E402
-import peer_cases  # noqa: E402
-import protocol  # noqa: E402
-import scaling  # noqa: E402
+import common
+import compare_peers
+import contestants
+import export_cell
+import peer_cases
+import protocol
+import scaling
 
 TINY = compare_peers.Plan(arms=(3,), rounds=2, steps=4, round_s=0.05, behave_s=0.05, all_modes=False)
 
@@ -225,8 +225,9 @@ class TestProtocol:
 class TestAgainstPlaco:
     """coopqp's records, compared with a PlaCo whose times are known."""
 
-    @pytest.fixture
-    def records(self, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> list[dict[str, Any]]:
+    @pytest.fixture(scope="class")
+    @classmethod
+    def records(cls, tmp_path_factory: pytest.TempPathFactory) -> list[dict[str, Any]]:
         times = {("placo", "nominal"): 20.0, ("placo", "measured"): 40.0}
 
         class Fake:
@@ -251,9 +252,10 @@ class TestAgainstPlaco:
             def stop(self) -> None:
                 pass
 
-        monkeypatch.setattr(compare_peers, "Contestant", Fake)
         plan = replace(TINY, cases=peer_cases.COST)
-        return compare_peers.compare(["placo"], plan, tmp_path, install=False)
+        with pytest.MonkeyPatch.context() as patch:
+            patch.setattr(compare_peers, "Contestant", Fake)
+            return compare_peers.compare(["placo"], plan, tmp_path_factory.mktemp("peers"), install=False)
 
     def test_measured_by_measured_others_by_nominal(self, records: list[dict[str, Any]]) -> None:
         own = {(r["case"], r["pacing"]): r for r in records if r["peer"] == "coopqp"}

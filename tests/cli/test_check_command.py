@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from cells import one_arm_file
 from matplotlib.image import imread
 
 from coopqp import check_path
@@ -14,28 +15,13 @@ from coopqp.cli import main as cli
 from coopqp.scenarios import at_limit, dual_arm7, mixed_cell, paper_lift
 from coopqp.visualization.check_plots import check_figure
 
-CELL = """
-name = "one"
-{start}
-[[arms]]
-name = "a"
-robot = "rx90l"
-[grasp]
-kind = "{grasp}"
-{tools}
-[path]
-kind = "line"
+LINE = """kind = "line"
 start = {{ xyz_m = [{x}, 0.1, 0.6], rpy_deg = [0, 120, 0] }}
-displacement = {{ translation_m = [0, {y}, 0.1] }}
-duration_s = 1.0
-"""
+displacement = {{ translation_m = [0, {y}, 0.1] }}"""
 
 
-def cell_file(folder: Path, *, start: str = "", grasp: str = "tools", x: float = 0.7, y: float = 0.2) -> str:
-    file = folder / "one.toml"
-    tools = "tools.a = {}" if grasp == "tools" else ""
-    file.write_text(CELL.format(start=start, grasp=grasp, tools=tools, x=x, y=y), encoding="utf-8")
-    return str(file)
+def cell_file(folder: Path, *, x: float = 0.7, y: float = 0.2, **others: str) -> str:
+    return one_arm_file(folder, LINE.format(x=x, y=y), **others)
 
 
 @pytest.mark.slow
@@ -106,6 +92,7 @@ def test_a_latched_grasp_is_judged_at_its_start(tmp_path: Path, capsys: pytest.C
     assert "arm a follows the path" in capsys.readouterr().out
 
 
+@pytest.mark.slow
 def test_the_picture_shows_each_joint_and_what_is_proved() -> None:
     task = paper_lift()
     figure = check_figure(check_path(task.cell, task.grasp, task.path, q_start=task.q_start))

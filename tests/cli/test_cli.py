@@ -12,10 +12,10 @@ from importlib import metadata
 from pathlib import Path
 
 import pytest
+from processes import python
 
 from coopqp import __version__
-from coopqp.cli import demo
-from coopqp.cli import main as cli
+from coopqp.cli import demo, main as cli
 from coopqp.errors import OutputError
 from coopqp.native import available_kernels
 
@@ -270,5 +270,5 @@ sys.meta_path.insert(0, Interrupt())
 from coopqp.cli.start import main
 sys.exit(main())
 """
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60, check=False)
+    done = python("-c", code)
     assert (done.returncode, done.stderr, done.stdout) == (130, "coopqp: interrupted\n", "")

@@ -7,21 +7,19 @@ import csv
 import json
 import logging
 import re
-import subprocess
-import sys
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
+from places import DOCS
+from processes import output, python
 
 from coopqp import Recording, load_cell_file, simulate
-from coopqp.cli import main as cli
-from coopqp.cli import runs
+from coopqp.cli import main as cli, runs
 from coopqp.files.cellfile import CELLS, example_path
-from coopqp.simulation import RecordingError, Tolerances, judge, read_run
+from coopqp.simulation import RecordingError, Tolerances, evaluate, read_run
 from coopqp.simulation.evaluation.assessment import why
 from coopqp.simulation.recording.scene import read_cell
 from coopqp.visualization import plots, viewer
@@ -128,7 +126,7 @@ def test_the_cell_files_that_come_with_coopqp_hold(name: str, capsys: pytest.Cap
     Path("cell.toml").write_text(capsys.readouterr().out, encoding="utf-8")
     assert cli.main(["run", "cell.toml", "--quiet"]) == 0
     assert capsys.readouterr() == ("", "")
-    page = (Path(__file__).parents[2] / "docs" / "howto" / "cell-file.md").read_text(encoding="utf-8")
+    page = (DOCS / "howto" / "cell-file.md").read_text(encoding="utf-8")
     told = set(re.findall(r"`(out/paper_lift/[^`]+)`", page))
     assert len(told) == 2
     files = {file.as_posix() for file in Path().rglob("*") if file.is_file()} - {"cell.toml"}
@@ -200,7 +198,7 @@ def test_a_run_that_fails_says_why_where_and_since_when(case: str, capsys: pytes
         assert re.fullmatch(f"coopqp: failed: {message}", last), last
     recording = Recording.load("out0/recording.npz")  # the report says the same
     cell = read_cell(recording.metadata)
-    assert last == f"coopqp: failed: {why(judge(cell, recording, read_run(cell, recording)))[-1]}"
+    assert last == f"coopqp: failed: {why(evaluate(cell, recording, read_run(cell, recording)))[-1]}"
 
 
 def test_the_file_sets_the_tolerances(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -243,7 +241,7 @@ def test_ctrl_c_during_the_imports_is_an_interrupt(cell_file: Path) -> None:
     )
     for module in ("numpy", "pinocchio", "coopqp.simulation.evaluation.assessment", "pydantic"):
         program = code.format(module=module, cell=str(cell_file))
-        done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=False)
+        done = python("-c", program)
         assert (done.returncode, done.stdout, done.stderr) == (130, "", "coopqp: interrupted\n"), module
 
 
@@ -529,7 +527,7 @@ def test_the_library_attaches_no_log_handler() -> None:
         "assert not logging.root.handlers, logging.root.handlers;"
         "assert not any(logging.getLogger(n).handlers for n in names), names"
     )
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    done = python("-c", code)
     assert (done.returncode, done.stdout, done.stderr) == (0, "", "")
     assert not any(handler.__class__.__module__.startswith("coopqp") for handler in logging.root.handlers)
 
@@ -542,5 +540,4 @@ def test_only_what_is_used_is_imported() -> None:
         "heavy = [m for m in ('viser', 'rosbags', 'pydantic', 'matplotlib', 'rich') if m in sys.modules]\n"
         "assert not heavy, heavy"
     )
-    done: Any = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
-    assert done.returncode == 0, done.stderr
+    output("-c", code)

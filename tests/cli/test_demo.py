@@ -7,14 +7,16 @@ import json
 import re
 from collections.abc import Callable
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
+from marks import slow_but_first
+from places import ROOT
 
 from coopqp import InvalidInputError, QPController
-from coopqp.cli.demo import METHODS, DemoRun, check_demo, records_json, run_demo, run_method
+from coopqp.cli.demo import METHODS, DemoRun, check_demo, run_demo, run_method
 from coopqp.errors import UnknownNameError
+from coopqp.output import json_bytes
 from coopqp.scenarios import Scenario, paper_lift
 from coopqp.simulation.evaluation import metrics
 from coopqp.solvers import available_solvers
@@ -63,7 +65,7 @@ def test_the_qp_keeps_the_chain_and_the_path(run: Runner, steps: int, bound: flo
     assert qp.status == "ok"
 
 
-@pytest.mark.parametrize("steps", [40, 400])
+@pytest.mark.parametrize("steps", slow_but_first([40, 400]))
 @pytest.mark.parametrize("solver", available_solvers())
 def test_every_solver_agrees(run: Runner, solver: str, steps: int) -> None:
     expected, other = run("qp", steps), run("qp", steps, solver)
@@ -82,7 +84,7 @@ def test_every_joint_stays_inside_its_limits(paper: Scenario, run: Runner, metho
 
 def test_records_are_flat_and_keep_their_keys(run: Runner) -> None:
     runs = [run("pseudo_inverse", 40), run("qp", 40)]
-    records = json.loads(records_json(runs))
+    records = json.loads(json_bytes([run.record() for run in runs]))
     keys = ["method", "solver", "steps", "eps_p_mm", "eps_o_deg", "object_error_mm", "status"]
     assert [list(record) for record in records] == [keys, keys]
     assert records[0] == {
@@ -122,7 +124,7 @@ def test_a_run_that_does_not_arrive_is_not_ok(run: Runner) -> None:
 
 def test_a_figure_that_is_not_finite_is_null(run: Runner) -> None:
     broken = replace(run("pseudo_inverse", 40), eps_p_mm=np.nan)
-    assert json.loads(records_json([broken]))[0]["eps_p_mm"] is None
+    assert json.loads(json_bytes([broken.record()]))[0]["eps_p_mm"] is None
 
 
 def test_all_methods_run_in_order_with_progress(paper: Scenario) -> None:
@@ -159,7 +161,7 @@ def test_wider_grasps_drift_more() -> None:
 
 @pytest.mark.slow
 def test_the_table_of_the_readme_is_measured(run: Runner) -> None:
-    text = (Path(__file__).parents[2] / "README.md").read_text(encoding="utf-8")
+    text = (ROOT / "README.md").read_text(encoding="utf-8")
     rows = re.findall(r"^\| `(\w+)` \| (.+) \|$", text, flags=re.MULTILINE)
     assert [name for name, _ in rows] == list(METHODS)
     for name, cells in rows:

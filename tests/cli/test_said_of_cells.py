@@ -13,19 +13,18 @@ import pinocchio as pin
 import pytest
 from convex import core_of, distance
 from matplotlib.image import imread
+from places import CELL_FILES
 
 from coopqp import InvalidInputError, Recording, load_cell_file
 from coopqp.cli import main as cli
 from coopqp.cli.check import glance_at
 from coopqp.cli.terminal import Reporter
-from coopqp.files.cellfile import CELLS as PACKAGED
-from coopqp.files.cellfile import example_path
+from coopqp.files.cellfile import CELLS as PACKAGED, example_path
 from coopqp.files.cellfile.hints import load_hints, unit_hints
 from coopqp.visualization import cell_overview as glance
 from coopqp.visualization.cell_overview import shortfall
 from coopqp.visualization.viewer import CellViewer
 
-CELLS = Path(__file__).parents[2] / "docs" / "examples" / "cells"
 CELL = """
 name = "said"
 steps = {steps}
@@ -173,7 +172,7 @@ def test_a_way_that_ends_is_shown_where_it_ends() -> None:
     found, _ = glance_at(cell("half.toml", dx=1.5), Reporter())
     assert 0.0 < found.clock < 0.6
     assert found.short["a"] < 1e-3
-    assert found.said()[0] == "INFEASIBLE"
+    assert found.lines()[0] == "INFEASIBLE"
 
 
 @pytest.mark.slow
@@ -251,17 +250,17 @@ def test_what_may_be_meant_is_not_asked_about(line: str) -> None:
 
 
 def test_no_cell_of_the_pages_is_asked_about() -> None:
-    files = [*CELLS.glob("*.toml"), *map(example_path, PACKAGED)]
+    files = [*CELL_FILES.glob("*.toml"), *map(example_path, PACKAGED)]
     assert len(files) > 6
     assert [hint for file in files for hint in unit_hints(file)] == []
 
 
 @pytest.mark.slow
 def test_a_mass_beyond_the_torques_is_asked_about(capsys: pytest.CaptureFixture[str]) -> None:
-    text = (CELLS / "lift_in_engine.toml").read_text(encoding="utf-8")
+    text = (CELL_FILES / "lift_in_engine.toml").read_text(encoding="utf-8")
     heavy = re.sub(r"mass_kg = [\d.]+", "mass_kg = 9000", text)
     assert heavy != text
-    assert not load_hints(load_cell_file(CELLS / "lift_in_engine.toml"))
+    assert not load_hints(load_cell_file(CELL_FILES / "lift_in_engine.toml"))
     Path("heavy.toml").write_text(heavy, encoding="utf-8")
     (said,) = load_hints(load_cell_file("heavy.toml"))
     assert "kilograms" in said

@@ -15,10 +15,11 @@ import numpy as np
 import pinocchio as pin
 import pytest
 from convex import core_of, distance
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from hypothesis import given, settings, strategies as st
 from marks import slow_but_first, slow_unless
-from wrapped import Opaque
+from places import BAR
+from runs import built
+from user_paths import Opaque
 
 import coopqp.collision.bounds_plain as bounds_plain
 from coopqp import (
@@ -57,7 +58,7 @@ from coopqp.scenarios import (
     plate_and_table,
     random_posts,
 )
-from coopqp.simulation import Closeness, Monitor, check_run, judge, read_run
+from coopqp.simulation import Closeness, Monitor, check_run, evaluate, read_run
 from coopqp.simulation.evaluation.closeness import with_clearance
 
 MARGIN = 0.02
@@ -82,11 +83,6 @@ def run(scenario: Scenario, scene: CollisionScene, *, kernel: str = "auto", acce
     steps: list[Any] = []
     recording = simulate(controller, q_start=scenario.q_start, patience=0.2, observe=steps.append)
     return recording, steps, scene
-
-
-@pytest.fixture(scope="module")
-def lift() -> Scenario:
-    return paper_lift(time_law="quintic")
 
 
 def lid(scenario: Scenario, gap: float) -> Body:
@@ -369,12 +365,9 @@ def test_where_rows_in_memory_fail_the_definition_goes_on_and_interrupts_are_rai
 def test_a_command_is_shown_to_be_clear_without_asking_for_all_that_is_near() -> None:
     """Commands of growing size: clear is said only where rows, asked for after it, are kept by the command."""
     scenario = plate_and_post()
-    said = []
+    scene, said = scene_of(scenario), []
     for size in np.geomspace(1e-3, 10.0, 25):
-        controller = QPController(
-            scenario.cell, scenario.grasp, scenario.path, dt=0.05, constraints=[Clearance(scene_of(scenario))]
-        )
-        controller.reset(scenario.q_start)
+        controller = built(scenario, dt=0.05, constraints=[Clearance(scene)])
         loop = controller._loop
         rows = loop.constraints.given[0]._native[0]
         rng = np.random.default_rng(3)
@@ -404,7 +397,12 @@ def test_distances_do_not_depend_on_what_was_asked_before() -> None:
 @pytest.mark.parametrize("acceleration", slow_unless(np.isfinite, [np.inf, 5.0]))
 @pytest.mark.parametrize(
     "scenario",
-    [plate_and_post(), plate_and_post(post="box"), plate_and_table(), plate_and_table(tilt=0.1)],
+    [
+        plate_and_post(),
+        pytest.param(plate_and_post(post="box"), marks=pytest.mark.slow),
+        plate_and_table(),
+        pytest.param(plate_and_table(tilt=0.1), marks=pytest.mark.slow),
+    ],
     ids=["capsule", "box", "table", "tilted"],
 )
 def test_the_object_stops_at_the_margin_on_its_path(scenario: Scenario, acceleration: float) -> None:
@@ -553,7 +551,7 @@ def test_the_verdict_says_where_it_was_closest(avoided: bool) -> None:
     controller = QPController(scenario.cell, scenario.grasp, scenario.path, dt=scenario.dt, constraints=constraints)
     recording = simulate(controller, q_start=scenario.q_start, patience=0.1)
     recording = with_clearance(recording, scene, avoided=avoided)
-    found = judge(scenario.cell, recording, read_run(scenario.cell, recording))[-1]
+    found = evaluate(scenario.cell, recording, read_run(scenario.cell, recording))[-1]
     assert found.holds is avoided
     said = "nothing touched: closest 20 mm, object and post at" if avoided else "object and post at"
     assert found.answer.startswith(said)
@@ -641,7 +639,9 @@ def _cubes(centres: Any) -> Any:
     return np.concatenate([0.05 * np.array(faces) + centre for centre in np.asarray(centres, dtype=float)])
 
 
-@pytest.mark.parametrize(("triangles", "said"), [(0, "mesh"), (1_000_000, "triangles")])
+@pytest.mark.parametrize(
+    ("triangles", "said"), [(0, "mesh"), pytest.param(1_000_000, "triangles", marks=pytest.mark.slow)]
+)
 def test_empty_and_huge_meshes_are_refused(tmp_path: Path, triangles: int, said: str) -> None:
     mesh = Mesh(_stl(tmp_path / "mesh.stl", np.random.default_rng(0).random((triangles, 3, 3), dtype=np.float32)))
     with pytest.raises(InvalidInputError, match=said):
@@ -663,13 +663,14 @@ def test_a_hull_much_larger_than_its_mesh_is_named(tmp_path: Path) -> None:
     assert check.clearance.record()["notes"] == [said]
     run = simulate(QPController(task.cell, task.grasp, task.path, dt=0.05), q_start=task.q_start)
     run = with_clearance(run, scene, avoided=False)
-    assert said in next(f.answer for f in judge(task.cell, run, read_run(task.cell, run)) if "clear" in f.question)
+    assert said in next(f.answer for f in evaluate(task.cell, run, read_run(task.cell, run)) if "clear" in f.question)
     around = pin.SE3(np.eye(3), task.path.pose(0.0).translation - [0.2, 0.0, 0.0])
     scene = CollisionScene.of(task, obstacles=[replace(meshes[1], placement=around)])
     with pytest.raises(InvalidInputError, match=r"and pair overlap .* pair counts as the convex hull of its mesh"):
         QPController(task.cell, task.grasp, task.path, dt=1e-3, constraints=[Clearance(scene)]).reset(task.q_start)
 
 
+@pytest.mark.slow
 def test_convex_parts_leave_the_gaps_of_a_mesh_free(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
     task, centres = plate_and_post(), np.array([[0.0, 0.0, 0.0], [0.4, 0.0, 0.0]])
@@ -1002,7 +1003,6 @@ def test_a_body_that_nobody_moves_holds_by_name(lift: Scenario) -> None:
 
 # -- cell files ------------------------------------------------------------------------------------------------------
 
-BAR = Path(__file__).parents[2] / "docs" / "examples" / "cells" / "bar.toml"
 TABLE = """
 [collision]
 margin_m = 0.02
@@ -1032,7 +1032,7 @@ def test_a_cell_file_says_what_to_keep_away_from(tmp_path: Path) -> None:
     file.write_text(BAR.read_text(encoding="utf-8"), encoding="utf-8")
     free = load_cell_file(file).run()
     assert not free.metadata["clearance"]["avoided"]
-    assert judge(task.scenario.cell, free, read_run(task.scenario.cell, free))[-1].holds
+    assert evaluate(task.scenario.cell, free, read_run(task.scenario.cell, free))[-1].holds
 
 
 @pytest.mark.parametrize(

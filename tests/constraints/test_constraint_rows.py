@@ -6,14 +6,15 @@ import copy
 import dataclasses
 import runpy
 from collections.abc import Callable
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pinocchio as pin
 import pytest
 from marks import slow_but_first, slow_unless
-from wrapped import Opaque
+from places import DOCS
+from runs import built, limited
+from user_paths import Opaque
 
 from coopqp import (
     BindingLimit,
@@ -38,7 +39,7 @@ from coopqp.scenarios import Scenario, dual_arm7, mixed_cell, paper_lift
 from coopqp.solvers import QpProblem, QpSolution, QpSolver, SolverStatus, make_solver
 from coopqp.spatial import Array
 
-EXAMPLE = runpy.run_path(str(Path(__file__).parents[2] / "docs" / "examples" / "16_constraints.py"))
+EXAMPLE = runpy.run_path(str(DOCS / "examples" / "16_constraints.py"))
 Box, SlowPoint, LittleEnergy = (EXAMPLE[name] for name in ("Box", "SlowPoint", "LittleEnergy"))
 KERNELS = available_kernels()
 ACCELERATIONS = (np.inf, 5.0)
@@ -131,18 +132,6 @@ class Sighted:
         return ()
 
 
-def limited(task: Scenario, acceleration: float, **limits: Any) -> Scenario:
-    return dataclasses.replace(task, cell=task.cell.with_limits(acceleration=acceleration, **limits))
-
-
-def started(task: Scenario, constraints: Any, kernel: str = "auto", **options: Any) -> QPController:
-    controller = QPController(
-        task.cell, task.grasp, task.path, dt=DT, options=QPOptions(kernel=kernel, **options), constraints=constraints
-    )
-    controller.reset(task.q_start)
-    return controller
-
-
 @dataclasses.dataclass
 class Run:
     """Steps of a run, and how well it went: rows beyond their bounds, the object off its path, arms apart [m]."""
@@ -204,7 +193,7 @@ def test_constraints_are_told_whether_anything_brakes_ahead_of_them(kernel: str)
     unknown = dataclasses.replace(task, path=Opaque(task.path, known_ahead=False))
     for case, options, blind in ((task, {}, False), (task, {"preview": None}, True), (unknown, {}, True)):
         sighted = Sighted(task.cell.nv)
-        controller = started(case, [sighted], kernel, **options)
+        controller = built(case, kernel, dt=DT, constraints=[sighted], **options)
         sighted.blind.clear()
         for _ in range(5):
             controller.step()
@@ -225,7 +214,7 @@ def test_the_object_stops_at_a_wall(make: Callable[..., Scenario], acceleration:
     task = limited(make(time_law="quintic"), acceleration)
     start, goal = (task.path.pose(clock).translation for clock in (0.0, task.path.duration))
     wall = 0.5 * (start + goal)[2]
-    run = drive(started(task, [Box(task.grasp, (-FAR,) * 3, (FAR, FAR, wall))], kernel), 900)
+    run = drive(built(task, kernel, dt=DT, constraints=[Box(task.grasp, (-FAR,) * 3, (FAR, FAR, wall))]), 900)
     assert run.excess <= 1e-9
     assert run.off <= 1e-6
     assert run.apart <= 1e-6
@@ -258,7 +247,7 @@ def test_the_object_stops_at_any_wall(acceleration: float) -> None:
         low, high = np.full(3, -FAR), np.full(3, FAR)
         (high if way[side] > 0.0 else low)[side] = start.translation[side] + rng.uniform(0.2, 0.9) * way[side]
         box = Box(task.grasp, low, high, braking=float(10.0 ** rng.uniform(-1.0, 0.5)))
-        run = drive(started(dataclasses.replace(task, path=path), [box]), 900)
+        run = drive(built(dataclasses.replace(task, path=path), dt=DT, constraints=[box]), 900)
         assert run.excess <= 1e-9, i
         assert run.apart <= 1e-6, i
         assert run.off <= 1e-6, i
@@ -266,12 +255,14 @@ def test_the_object_stops_at_any_wall(acceleration: float) -> None:
         assert any(b.name == "box" for b in run.last.binding), (i, run.last)
 
 
-@pytest.mark.parametrize("kernel", KERNELS)
+@pytest.mark.parametrize("kernel", slow_but_first(KERNELS))
 def test_a_wall_binds_by_name_on_the_way_to_a_target(kernel: str) -> None:
     task = paper_lift()
     start = task.path.pose(0.0)
     servo = dataclasses.replace(task, path=ServoPath(start, speed=0.1))
-    controller = started(servo, [Box(task.grasp, (-FAR,) * 3, (FAR, FAR, start.translation[2] + 0.03))], kernel)
+    controller = built(
+        servo, kernel, dt=DT, constraints=[Box(task.grasp, (-FAR,) * 3, (FAR, FAR, start.translation[2] + 0.03))]
+    )
     controller.retarget(pin.SE3(start.rotation, start.translation + np.array([0.0, 0.0, 0.1])))
     run = drive(controller, 300)
     assert run.excess <= 1e-9
@@ -299,9 +290,9 @@ def test_an_elbow_keeps_its_speed(acceleration: float, kernel: str) -> None:
             found.append(float(np.linalg.norm(J[:3] @ step.velocity)))
         return found
 
-    free = drive(started(task, [], kernel), 2000)
+    free = drive(built(task, kernel, dt=DT, constraints=[]), 2000)
     assert max(speeds(free)) > most
-    run = drive(started(task, [SlowPoint(task.cell, frame, most)], kernel), 2000)
+    run = drive(built(task, kernel, dt=DT, constraints=[SlowPoint(task.cell, frame, most)]), 2000)
     assert run.excess <= 1e-9
     assert run.off <= 1e-6
     assert run.apart <= 1e-6
@@ -318,7 +309,7 @@ def test_an_elbow_keeps_its_speed(acceleration: float, kernel: str) -> None:
 def test_the_object_keeps_its_energy(acceleration: float, kernel: str) -> None:
     task = limited(paper_lift(time_law="quintic"), acceleration)
     mass, most = 9.0, 0.05
-    run = drive(started(task, [LittleEnergy(task.grasp, mass, most)], kernel), 2000)
+    run = drive(built(task, kernel, dt=DT, constraints=[LittleEnergy(task.grasp, mass, most)]), 2000)
     energy = []
     for step in run.steps:
         v = task.grasp.carried(step.state)[0], task.grasp.carried(CellState(task.cell, step.q_next))[0]
@@ -331,7 +322,7 @@ def test_the_object_keeps_its_energy(acceleration: float, kernel: str) -> None:
     assert any(b.name == "energy" for s in run.steps for b in s.binding)
 
 
-@pytest.mark.parametrize("kernel", KERNELS)
+@pytest.mark.parametrize("kernel", slow_but_first(KERNELS))
 def test_motors_keep_their_torques(kernel: str) -> None:
     """Faster, the paper's lift would need more than gravity and a fifth of what it takes at full rate."""
     task = limited(paper_lift(time_law="quintic", duration=0.6), 20.0)
@@ -347,10 +338,10 @@ def test_motors_keep_their_torques(kernel: str) -> None:
             before = step.velocity
         return np.abs(found).max(axis=0), np.abs(gravity).max(axis=0)
 
-    free = drive(started(task, [], kernel), 2000)
+    free = drive(built(task, kernel, dt=DT, constraints=[]), 2000)
     full, gravity = torques(free)
     largest = gravity + 0.2 * (full - gravity) + 0.5
-    run = drive(started(task, [Torques(task.cell, largest)], kernel), 2000)
+    run = drive(built(task, kernel, dt=DT, constraints=[Torques(task.cell, largest)]), 2000)
     found, _ = torques(run)
     assert (full > largest).any()
     assert (found <= largest + 0.02 * (full - gravity) + 0.05).all()
@@ -382,7 +373,7 @@ def test_clearance_gives_way_before_the_arms_part_and_limits_never_do(solver: st
     speed[6:] = 1e-3
     task = limited(task, np.inf, velocity=speed)
     soft, hard = (
-        started(task, [lifted_by_the_master(task, 0.05, rank)], kernel, solver=solver).step()
+        built(task, kernel, dt=DT, constraints=[lifted_by_the_master(task, 0.05, rank)], solver=solver).step()
         for rank in (Rank.CLEARANCE, Rank.LIMITS)
     )
     for step, kept in ((soft, False), (hard, True)):
@@ -397,7 +388,7 @@ def test_clearance_gives_way_before_the_arms_part_and_limits_never_do(solver: st
 @pytest.mark.parametrize("rank", [Rank.CLEARANCE, Rank.LIMITS])
 def test_the_object_leaves_its_path_for_either_rank(rank: Rank, kernel: str) -> None:
     task = paper_lift()
-    controller = started(task, [lifted_by_the_master(task, 0.3, rank)], kernel)
+    controller = built(task, kernel, dt=DT, constraints=[lifted_by_the_master(task, 0.3, rank)])
     run = drive(controller, 20)
     assert run.excess <= 1e-9
     assert run.apart <= 1e-6
@@ -488,7 +479,7 @@ def test_any_nonsense_in_motion_holds_by_name_until_it_ends(acceleration: float,
     for name in NONSENSE:
         good = nonsense(name, task.cell.nv)
         if type(good) not in in_motion:
-            controller = started(task, [Box(task.grasp, (-FAR,) * 3, (FAR,) * 3), good], kernel)
+            controller = built(task, kernel, dt=DT, constraints=[Box(task.grasp, (-FAR,) * 3, (FAR,) * 3), good])
             in_motion[type(good)] = controller, drive(controller, 60).last
         controller, before = copy.deepcopy(in_motion[type(good)])
         constraint: Any = controller.constraints[1]
@@ -514,7 +505,7 @@ def test_rows_that_fail_hold_the_object_without_a_look_ahead_too(kernel: str) ->
     task = limited(paper_lift(time_law="quintic"), 10.0)
     constraint = nonsense("raises its own", task.cell.nv)
     good = constraint.make
-    controller = started(task, [constraint], kernel, preview=None)
+    controller = built(task, kernel, dt=DT, constraints=[constraint], preview=None)
     assert drive(controller, 40).statuses <= {Status.TRACKING, Status.SLOWED}
     spoil(constraint, "raises its own", task.cell.nv)
     for _ in range(30):
@@ -548,7 +539,7 @@ def test_what_is_no_constraint_is_refused() -> None:
 def test_a_refused_reset_changes_nothing(kernel: str) -> None:
     task = limited(paper_lift(), 10.0)
     constraint = nonsense("raises", task.cell.nv)
-    controller, other = (started(task, [c], kernel) for c in (constraint, copy.copy(constraint)))
+    controller, other = (built(task, kernel, dt=DT, constraints=[c]) for c in (constraint, copy.copy(constraint)))
     drive(controller, 40)
     drive(other, 40)
     right = constraint.make
@@ -584,7 +575,10 @@ def all_kinds(task: Scenario) -> list[Any]:
 def test_both_kernels_agree(acceleration: float, shortcut: bool) -> None:
     for make in (paper_lift, mixed_cell):
         task = limited(make(time_law="quintic"), acceleration)
-        a, b = (started(task, all_kinds(task), kernel, shortcut=shortcut) for kernel in ("compiled", "plain"))
+        a, b = (
+            built(task, kernel, dt=DT, constraints=all_kinds(task), shortcut=shortcut)
+            for kernel in ("compiled", "plain")
+        )
         assert (a.kernel, b.kernel) == ("compiled", "plain")
         rng, q = np.random.default_rng(0), None
         for i in range(250):
@@ -594,10 +588,10 @@ def test_both_kernels_agree(acceleration: float, shortcut: bool) -> None:
             q = task.cell.moved(other.q_next, rng.uniform(-1e-5, 1e-5, task.cell.nv)) if i > 100 else None
 
 
-@pytest.mark.parametrize("kernel", KERNELS)
+@pytest.mark.parametrize("kernel", slow_but_first(KERNELS))
 def test_a_deep_copy_has_constraints_of_its_own(kernel: str) -> None:
     task = limited(paper_lift(time_law="quintic"), 5.0)
-    controller = started(task, all_kinds(task), kernel)
+    controller = built(task, kernel, dt=DT, constraints=all_kinds(task))
     drive(controller, 120)
     other = copy.deepcopy(controller)
     assert all(a is not b for a, b in zip(controller.constraints, other.constraints, strict=True))

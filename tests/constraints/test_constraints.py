@@ -29,7 +29,7 @@ from coopqp.solvers import available_solvers
 from coopqp.spatial import Array
 
 pytestmark = pytest.mark.parametrize("kernel", slow_but_first(available_kernels()))
-ACCELERATIONS = pytest.mark.parametrize("acceleration", [np.inf, 5.0])
+ACCELERATIONS = pytest.mark.parametrize("acceleration", slow_but_first([5.0, np.inf]))
 
 
 class Box:

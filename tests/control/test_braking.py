@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from marks import slow_but_first
-from wrapped import Opaque
+from user_paths import Opaque
 
 from coopqp import LimitKind, QPController, QPOptions, Status
 from coopqp.control.step.velocity_bounds import VelocityBox

@@ -10,7 +10,8 @@ from itertools import pairwise
 import numpy as np
 import pinocchio as pin
 import pytest
-from wrapped import Opaque
+from marks import slow_but_first
+from user_paths import Opaque
 
 from coopqp import LimitKind, LinePath, PreviewOptions, QPController, QPOptions, Status
 from coopqp.constraints.velocity import Rows
@@ -129,7 +130,7 @@ def apart(task: Scenario, q: Array) -> float:
     return float(np.linalg.norm(origins - origins[0], axis=1).max())
 
 
-@pytest.mark.parametrize("kernel", available_kernels())
+@pytest.mark.parametrize("kernel", slow_but_first(available_kernels()))
 @pytest.mark.parametrize(("number", "acceleration"), [(0, np.inf), (1, 5.0)])
 def test_a_path_that_is_not_known_ahead_runs_out_of_reach_and_the_arms_stay_together(
     kernel: str, number: int, acceleration: float

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import dataclasses
-from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 import pytest
 from marks import slow_but_first
+from runs import built, drive, fast_lift
 
 from coopqp import (
     BindingLimit,
@@ -16,15 +15,13 @@ from coopqp import (
     ControlStep,
     LimitKind,
     LinePath,
-    QPController,
-    QPOptions,
     Status,
     SupervisionOptions,
 )
 from coopqp.control.step.decoding import CAUSES
 from coopqp.control.step.verdict import cause_of
 from coopqp.native import available_kernels, layout
-from coopqp.scenarios import Scenario, at_limit, at_singularity, paper_lift
+from coopqp.scenarios import at_limit, at_singularity, paper_lift
 
 LIMIT, SINGULAR, NEAR, APART, REINS, JUMP = (
     BindingLimit("arm", "", kind)
@@ -90,34 +87,9 @@ def test_every_reason_has_a_cause() -> None:
 # -- in a run --------------------------------------------------------------------------------------------------------
 
 
-def started(task: Scenario, kernel: str, **options: Any) -> QPController:
-    given = QPOptions(kernel=kernel, **options)
-    controller = QPController(task.cell, task.grasp, task.path, dt=task.dt, options=given)
-    controller.reset(task.q_start)
-    return controller
-
-
-def run(
-    controller: QPController, steps: int, measured: Callable[[ControlStep], Any] | None = None
-) -> list[ControlStep]:
-    made: list[ControlStep] = []
-    for _ in range(steps):
-        q = None if measured is None or not made else measured(made[-1])
-        made.append(controller.step(q))
-        if made[-1].finished:
-            break
-    return made
-
-
 def seen(steps: list[ControlStep]) -> set[tuple[Status, Cause | None]]:
     assert all((step.cause is None) == (step.status is Status.TRACKING) for step in steps)
     return {(step.status, step.cause) for step in steps}
-
-
-def fast_lift() -> Scenario:
-    task = paper_lift()
-    assert isinstance(task.path, LinePath)
-    return dataclasses.replace(task, path=LinePath(task.path.start, task.path.goal, duration=0.6))
 
 
 def lagging(step: ControlStep) -> Any:
@@ -128,40 +100,42 @@ def lagging(step: ControlStep) -> Any:
 
 @pytest.mark.parametrize("kernel", available_kernels())
 def test_causes_of_a_run(kernel: str) -> None:
-    controller = started(fast_lift(), kernel)
-    assert (Status.SLOWED, Cause.LIMIT) in seen(run(controller, 20))
+    controller = built(fast_lift(), kernel)
+    assert (Status.SLOWED, Cause.LIMIT) in seen(drive(controller, 20))
     bad = controller.step(np.full(controller.cell.nq, np.nan))
     assert (bad.status, bad.cause) == (Status.HOLDING, Cause.INPUT)
     late = controller.step(dt=10.0)
     assert (late.status, late.cause) == (Status.HOLDING, Cause.INPUT)
     controller.set_override(0.1)
-    assert (Status.SLOWED, Cause.OPERATOR) in seen(run(controller, 20))
+    assert (Status.SLOWED, Cause.OPERATOR) in seen(drive(controller, 20))
     controller.pause()
-    assert (Status.PAUSED, Cause.OPERATOR) in seen(run(controller, 20))
+    assert (Status.PAUSED, Cause.OPERATOR) in seen(drive(controller, 20))
 
 
 @pytest.mark.parametrize("kernel", available_kernels())
 def test_causes_of_arms_that_are_elsewhere(kernel: str) -> None:
     options = SupervisionOptions(let_in=0.0)
-    for_fault = seen(run(started(paper_lift(), kernel, supervision=options), 60, lagging))
+    for_fault = seen(drive(built(paper_lift(), kernel, supervision=options), 60, measured=lagging))
     assert for_fault >= {(Status.FAULT, Cause.TRACKING)}
     slow = SupervisionOptions(let_in=0.0, slow_from=1e-3, hold_from=0.5, fault_from=0.6)
-    assert seen(run(started(paper_lift(), kernel, supervision=slow), 60, lagging)) >= {(Status.SLOWED, Cause.TRACKING)}
+    assert seen(drive(built(paper_lift(), kernel, supervision=slow), 60, measured=lagging)) >= {
+        (Status.SLOWED, Cause.TRACKING)
+    }
 
 
 @pytest.mark.parametrize("kernel", slow_but_first(available_kernels()))
 def test_causes_ahead(kernel: str) -> None:
-    blocked = seen(run(started(at_singularity("reach"), kernel), 800))
+    blocked = seen(drive(built(at_singularity("reach"), kernel), 800))
     assert {cause for status, cause in blocked if status is Status.BLOCKED} <= {Cause.LIMIT, Cause.SINGULARITY}
-    blocked = seen(run(started(at_limit(direction=(0.1, 0.05, 1.0)), kernel), 800))
+    blocked = seen(drive(built(at_limit(direction=(0.1, 0.05, 1.0)), kernel), 800))
     assert (Status.BLOCKED, Cause.LIMIT) in blocked
 
 
 @pytest.mark.parametrize("kernel", available_kernels())
 def test_cause_of_a_path_that_begins_elsewhere(kernel: str) -> None:
-    controller, task = started(paper_lift(), kernel), paper_lift()
+    controller, task = built(paper_lift(), kernel), paper_lift()
     assert isinstance(task.path, LinePath)
-    run(controller, 3)
+    drive(controller, 3)
     start = task.path.start.copy()
     start.translation = start.translation + np.array([0.0, 0.0, 0.01])
     controller.follow(LinePath(start, task.path.goal, duration=2.0))
@@ -170,6 +144,6 @@ def test_cause_of_a_path_that_begins_elsewhere(kernel: str) -> None:
 
 
 def test_a_replaced_step_keeps_its_cause() -> None:
-    controller = started(paper_lift(), "auto")
+    controller = built(paper_lift(), "auto")
     step = controller.step(dt=10.0)
     assert step.replaced(reason="").cause is Cause.INPUT

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from marks import slow_but_first
 from promise_cases.chain_cells import Oracle
 
 from coopqp import (
@@ -183,7 +184,7 @@ def test_a_start_off_the_grasp_and_shifted_grasps_are_no_fault(kernel: str) -> N
     assert max(step.commanded_apart for step in seen) < 1e-5
 
 
-@pytest.mark.parametrize("kernel", KERNELS)
+@pytest.mark.parametrize("kernel", slow_but_first(KERNELS))
 @pytest.mark.parametrize("seed", range(3))
 def test_grasps_that_shift_to_and_fro_are_no_fault(kernel: str, seed: int) -> None:
     """As presses shift them: faster than the chain's errors are corrected, and back before they are; also in motion."""

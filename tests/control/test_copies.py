@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import copy
 import pickle
-import subprocess
 import sys
 from collections.abc import Callable
 from pathlib import Path
@@ -13,7 +12,9 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 import pytest
-from marks import slow_unless
+from marks import slow_but_first, slow_unless
+from processes import output
+from runs import built, limited
 
 from coopqp import (
     ControlStep,
@@ -32,6 +33,7 @@ from coopqp.scenarios import Scenario, at_limit, at_singularity, dual_arm7, five
 from coopqp.spatial import Array
 
 KERNELS = available_kernels()
+DT = 0.005
 WAYS: dict[str, Callable[[QPController], QPController]] = {
     "copy": copy.copy,
     "deepcopy": copy.deepcopy,
@@ -39,14 +41,6 @@ WAYS: dict[str, Callable[[QPController], QPController]] = {
 }
 #: Feeds of a run: the measured configuration of step i, from the commands so far.
 Feed = Callable[[int, list[Array]], Any]
-
-
-def built(task: Scenario, kernel: str, path: ObjectPath | None = None, **options: Any) -> QPController:
-    controller = QPController(
-        task.cell, task.grasp, path or task.path, dt=0.005, options=QPOptions(kernel=kernel, **options)
-    )
-    controller.reset(task.q_start)
-    return controller
 
 
 def same(a: ControlStep, b: ControlStep) -> bool:
@@ -79,12 +73,6 @@ def pushed(task: Scenario, when: int = 30, far: float = 0.1) -> Feed:
     return feed
 
 
-def limited(task: Scenario, acceleration: float) -> Scenario:
-    return Scenario(
-        "limited", task.cell.with_limits(acceleration=acceleration), task.grasp, task.path, task.q_start, 0.01
-    )
-
-
 def zigzag(task: Scenario) -> WaypointPath:
     low, high = task.path.pose(0.0), task.path.pose(task.path.duration)
     middle = pin.SE3(low.rotation, low.translation + np.array([0.03, -0.02, 0.05]))
@@ -92,19 +80,19 @@ def zigzag(task: Scenario) -> WaypointPath:
 
 
 RUNS: dict[str, Callable[[str], tuple[QPController, Feed | None]]] = {
-    "nominal": lambda k: (built(paper_lift(), k), None),
-    "looking ahead": lambda k: (built(limited(mixed_cell(), 5.0), k), None),
-    "corners": lambda k: (built(limited(paper_lift(), 5.0), k, zigzag(paper_lift())), None),
-    "slowed and blocked": lambda k: (built(at_limit(), k), None),
-    "past a singularity": lambda k: (built(at_singularity(miss=0.02), k), None),
-    "measured": lambda k: (built(mixed_cell(), k), noisy(mixed_cell())),
-    "always a QP": lambda k: (built(limited(dual_arm7(), 10.0), k, shortcut=False), noisy(dual_arm7())),
-    "held": lambda k: (built(paper_lift(), k), pushed(paper_lift(), far=2e-3)),
-    "in fault": lambda k: (built(paper_lift(), k), pushed(paper_lift())),
+    "nominal": lambda k: (built(paper_lift(), k, dt=DT), None),
+    "looking ahead": lambda k: (built(limited(mixed_cell(), 5.0), k, dt=DT), None),
+    "corners": lambda k: (built(limited(paper_lift(), 5.0), k, dt=DT, path=zigzag(paper_lift())), None),
+    "slowed and blocked": lambda k: (built(at_limit(), k, dt=DT), None),
+    "past a singularity": lambda k: (built(at_singularity(miss=0.02), k, dt=DT), None),
+    "measured": lambda k: (built(mixed_cell(), k, dt=DT), noisy(mixed_cell())),
+    "always a QP": lambda k: (built(limited(dual_arm7(), 10.0), k, dt=DT, shortcut=False), noisy(dual_arm7())),
+    "held": lambda k: (built(paper_lift(), k, dt=DT), pushed(paper_lift(), far=2e-3)),
+    "in fault": lambda k: (built(paper_lift(), k, dt=DT), pushed(paper_lift())),
     "forces": lambda k: (
-        built(paper_lift(), k, supervision=SupervisionOptions(stiffness=2e4)), pushed(paper_lift(), far=5e-3)
+        built(paper_lift(), k, dt=DT, supervision=SupervisionOptions(stiffness=2e4)), pushed(paper_lift(), far=5e-3)
     ),
-    "few joints": lambda k: (built(five_joint_pair(), "auto"), None),
+    "few joints": lambda k: (built(five_joint_pair(), "auto", dt=DT), None),
 }  # fmt: skip
 
 
@@ -162,30 +150,30 @@ def test_copying_leaves_the_original_alone(run: str, kernel: str) -> None:
         copy.copy(watched)
 
 
-@pytest.mark.parametrize("kernel", KERNELS)
+@pytest.mark.parametrize("kernel", slow_but_first(KERNELS))
 def test_a_copy_after_another_path_and_after_other_targets(kernel: str) -> None:
     task = limited(mixed_cell(), 10.0)
-    controller = built(task, kernel)
+    controller = built(task, kernel, dt=DT)
     here = drive(controller, None, 0, 80, [])[-1]
     controller.follow(LinePath(task.path.pose(here.clock_next), task.path.pose(0.0), duration=1.0))
     other = copy.deepcopy(controller)
     assert all(map(same, drive(controller, None, 0, 60, []), drive(other, None, 0, 60, [])))
 
     start = task.path.pose(0.0)
-    servo = built(task, kernel, ServoPath(start))
+    servo = built(task, kernel, dt=DT, path=ServoPath(start))
     for target in (0.02, -0.03, 5.0):
         servo.retarget(pin.SE3(start.rotation, start.translation + target))
         other = pickle.loads(pickle.dumps(servo))
         assert all(map(same, drive(servo, None, 0, 25, []), drive(other, None, 0, 25, [])))
 
 
-@pytest.mark.parametrize("kernel", KERNELS)
+@pytest.mark.parametrize("kernel", slow_but_first(KERNELS))
 @pytest.mark.parametrize("way", WAYS)
 def test_a_copy_shares_nothing_that_changes(way: str, kernel: str) -> None:
     """What the one does next, even a new target or a fault, does not reach the other."""
     task = limited(paper_lift(), 10.0)
     start = task.path.pose(0.0)
-    controller = built(task, kernel, ServoPath(start))
+    controller = built(task, kernel, dt=DT, path=ServoPath(start))
     controller.retarget(pin.SE3(start.rotation, start.translation + 0.05))
     drive(controller, None, 0, 20, [])
     kept = WAYS[way](controller)
@@ -219,7 +207,7 @@ class Swaying(ObjectPath):
 def test_a_deep_copy_has_its_own_path(kernel: str) -> None:
     task = limited(paper_lift(), 10.0)
     path = Swaying(task.path.pose(0.0))
-    controller = built(task, kernel, path)
+    controller = built(task, kernel, dt=DT, path=path)
     drive(controller, None, 0, 30, [])
     shallow, deep = copy.copy(controller), copy.deepcopy(controller)
     assert shallow.path is path
@@ -234,7 +222,7 @@ def test_a_deep_copy_has_its_own_path(kernel: str) -> None:
 def test_a_controller_whose_path_fails_can_be_copied(kernel: str) -> None:
     task = limited(paper_lift(), 10.0)
     path = Swaying(task.path.pose(0.0))
-    controller = built(task, kernel, path)
+    controller = built(task, kernel, dt=DT, path=path)
     drive(controller, None, 0, 30, [])
     path.broken = True
     assert drive(controller, None, 0, 5, [])[-1].status is Status.HOLDING
@@ -259,7 +247,7 @@ def test_a_copy_before_the_first_reset_has_to_be_reset(kernel: str) -> None:
 @pytest.mark.parametrize("solver", ["daqp", "proxqp", "osqp"])
 def test_a_copy_with_another_solver_agrees_up_to_its_accuracy(solver: str) -> None:
     task = limited(paper_lift(), 5.0)
-    controller = built(task, "auto", shortcut=False, solver=solver)
+    controller = built(task, "auto", dt=DT, shortcut=False, solver=solver)
     drive(controller, None, 0, 40, [])
     other = copy.copy(controller)
     for a, b in zip(drive(controller, None, 0, 40, []), drive(other, None, 0, 40, []), strict=True):
@@ -293,7 +281,7 @@ def test_a_copy_for_another_kernel_is_refused() -> None:
     if len(KERNELS) < 2:
         pytest.skip("there is one kernel only")
     task = paper_lift()
-    state = built(task, "compiled").__getstate__()
+    state = built(task, "compiled", dt=DT).__getstate__()
     state["options"] = QPOptions(kernel="plain")
     other = object.__new__(QPController)
     with pytest.raises(InvalidInputError, match="ran the compiled kernel"):
@@ -316,7 +304,7 @@ def test_another_process_goes_on_with_the_same_bits(run: str, kernel: str, tmp_p
         "    q = steps[-1].q_next\n"
         f"np.save({str(tmp_path / 'found.npy')!r}, [np.concatenate([s.velocity, s.q_next]) for s in steps])\n"
     )
-    subprocess.run([sys.executable, "-c", program], check=True, timeout=120)
+    output("-c", program)
     q, expected = told[0], []
     for i in range(60):
         step = controller.step(q if i % 2 else None)

@@ -8,7 +8,7 @@ from itertools import pairwise
 import numpy as np
 import pinocchio as pin
 import pytest
-from marks import slow_unless
+from marks import slow_but_first, slow_unless
 
 from coopqp import ControlStep, LinePath, ObjectPath, QPController, QPOptions, ServoPath, Status
 from coopqp.native import available_kernels
@@ -85,7 +85,7 @@ def test_on_an_unknown_path_a_status_changes_less_than_twice_a_second(kernel: st
         assert step.status is not Status.TRACKING or step.rate == 1.0
 
 
-@pytest.mark.parametrize("kernel", KERNELS)
+@pytest.mark.parametrize("kernel", slow_but_first(KERNELS))
 def test_an_object_that_was_blocked_is_slowed_as_soon_as_it_goes_on(kernel: str) -> None:
     task = far(ring(arms=2), 1, np.inf)
     start, target = task.path.pose(0.0), task.path.pose(task.path.duration)

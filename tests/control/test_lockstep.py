@@ -11,13 +11,14 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 import pytest
+from cells import grasp_at, on_another_joint
 from hypothesis import settings
 from marks import slow_but_first, slow_unless
+from runs import limited_once
+from user_paths import Marked
 
 from coopqp import (
-    Arm,
     ControlStep,
-    Grasp,
     LimitKind,
     LinePath,
     ObjectPath,
@@ -44,7 +45,6 @@ from coopqp.scenarios import (
     mixed_cell,
     paper_lift,
     ring,
-    robot_path,
     scenario,
 )
 from coopqp.spatial import Array
@@ -170,12 +170,6 @@ class Pair:
 
 #: A ready scenario, built once.
 ready = functools.cache(scenario)
-
-
-@functools.cache
-def limited(make: Callable[[], Scenario], acceleration: float) -> Scenario:
-    task = make()
-    return dataclasses.replace(task, cell=task.cell.with_limits(acceleration=acceleration))
 
 
 def coarse(task: Scenario) -> float:
@@ -333,9 +327,13 @@ def test_both_agree_in_short(mode: str) -> None:
 
 #: Scenarios whose arms have fewer than six joints, which the core leaves to the plain definition.
 FEW_JOINTS = ("five_joint_pair", "scara_pair")
+#: Cells of other robots, whose meshes are read.
+OTHER_ROBOTS = ("panda_bar", "ur5_table")
 
 
-@pytest.mark.parametrize("name", sorted(set(SCENARIOS) - set(LOADED)))
+@pytest.mark.parametrize(
+    "name", slow_unless(lambda name: name not in OTHER_ROBOTS, sorted(set(SCENARIOS) - set(LOADED)))
+)
 def test_the_core_takes_every_cell_whose_arms_have_six_joints_or_more(name: str) -> None:
     task = ready(name)
     few = min(arm.model.nv for arm in task.cell.arms) < 6
@@ -383,21 +381,21 @@ def test_both_agree_on_every_scenario(name: str, mode: str) -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize(("make", "mode", "acceleration"), [*limited_runs()])
 def test_both_agree_under_acceleration_limits(make: Callable[[], Scenario], mode: str, acceleration: float) -> None:
-    run_in(mode, limited(make, acceleration), 150 if "corrupted" in mode else 250, same=DISTURBED)
+    run_in(mode, limited_once(make, acceleration), 150 if "corrupted" in mode else 250, same=DISTURBED)
 
 
 @pytest.mark.core
 @pytest.mark.parametrize("acceleration", slow_but_first([5.0, 10.0]))
 def test_both_agree_under_acceleration_limits_in_short(acceleration: float) -> None:
     for mode in IN_SHORT:
-        run_in(mode, limited(mixed_cell, acceleration), 100)
+        run_in(mode, limited_once(mixed_cell, acceleration), 100)
 
 
 @pytest.mark.core
 @pytest.mark.parametrize("acceleration", [np.inf, 5.0])
 def test_both_agree_with_other_settings_of_the_preview(acceleration: float) -> None:
     """A gentler rise of the rate, more in reserve: the object starts later than with the defaults, in both alike."""
-    task = limited(paper_lift, acceleration)
+    task = limited_once(paper_lift, acceleration)
     other = pair(task, dt=0.01, preview=PreviewOptions(rate_slope=3.0, margin=0.8, doubt=0.1, curvature_share=0.4))
     other.run(100)
     usual = pair(task, dt=0.01)
@@ -425,7 +423,7 @@ def test_a_mark_beside_a_singularity_ends_the_way_past_it() -> None:
     """What comes after a mark is not known before it: no way past the pole of a wrist leads over one."""
     task = at_singularity("wrist", 2, miss=5e-4, acceleration=10.0)
     for mark, passes in ((np.inf, True), (0.7487, False)):
-        run = pair(task, path=lambda mark=mark: Own(task.path, mark=mark * task.path.duration), dt=0.01)
+        run = pair(task, path=lambda mark=mark: Marked(task.path, mark=mark * task.path.duration), dt=0.01)
         run.same = DISTURBED
         step = run.run(400).plain.step()
         assert step.finished == passes
@@ -469,9 +467,9 @@ def test_a_step_that_differs_is_seen(lie: dict[str, Callable[[Any], Any]]) -> No
 
 def held(cell: RobotCell, q: Array) -> Scenario:
     """The arms hold one object where they happen to be."""
-    tools = CellState(cell, q).T_world_tool
-    path = LinePath.displaced(tools[0], translation=(0.01, -0.02, 0.015), rotation=(0.03, 0.02, -0.05), duration=2.0)
-    return Scenario("held", cell, Grasp(tuple(tools[0].actInv(X) for X in tools)), path, q, 0.01)
+    start = CellState(cell, q).T_world_tool[0]
+    path = LinePath.displaced(start, translation=(0.01, -0.02, 0.015), rotation=(0.03, 0.02, -0.05), duration=2.0)
+    return Scenario("held", cell, grasp_at(cell, q), path, q, 0.01)
 
 
 ROBOTS = [
@@ -491,25 +489,11 @@ def test_both_agree_on_any_joints(
         run_in(mode, task, 80)
 
 
-def eight_joints() -> RobotCell:
-    """Two arms of eight joints: seven, and a rail or a turntable below them."""
-    arms = []
-    for k, below in enumerate((pin.JointModelPY(), pin.JointModelRZ())):
-        own = Arm.from_urdf("arm7", robot_path("arm7"), tool_frame="tool", geometry=False)
-        model = pin.Model()
-        place = pin.SE3(np.eye(3), np.array([0.0, 1.1 * k, 0.0]))
-        joint = model.addJoint(
-            0, below, place, "below", np.array([50.0]), np.array([1.0]), np.full(1, -2.0), np.full(1, 2.0)
-        )
-        frame = model.addFrame(pin.Frame("platform", joint, 0, pin.SE3.Identity(), pin.FrameType.OP_FRAME))
-        whole = pin.appendModel(model, own.model, frame, pin.SE3.Identity())
-        arms.append(Arm.from_model(f"{k}", whole, tool_frame="tool"))
-    return RobotCell(arms)
-
-
 @pytest.mark.core
 def test_both_agree_on_eight_joints(random_q: Callable[..., Array]) -> None:
-    cell = eight_joints()
+    beside = [pin.SE3(np.eye(3), np.array([0.0, 1.1 * k, 0.0])) for k in range(2)]
+    rail, table = pin.JointModelPY(), pin.JointModelRZ()
+    cell = RobotCell([on_another_joint("0", rail, beside[0]), on_another_joint("1", table, beside[1])])
     assert cell.nv == 16
     for mode in ("nominal", "measured late, with noise", "always a QP", "middle of the joints"):
         run_in(mode, held(cell, random_q(cell, np.random.default_rng(6))), 80)
@@ -554,7 +538,7 @@ def halfway(task: Scenario) -> Scenario:
 @pytest.mark.filterwarnings("ignore::coopqp.errors.StartWarning")
 @pytest.mark.core
 @pytest.mark.parametrize("make", [paper_lift, dual_arm7, mixed_cell], ids=lambda make: make.__name__)
-@pytest.mark.parametrize("acceleration", [np.inf, 20.0])
+@pytest.mark.parametrize("acceleration", slow_but_first([20.0, np.inf]))
 def test_both_agree_while_joints_are_led_back(make: Callable[[], Scenario], acceleration: float) -> None:
     """Three joints are outside their limits, in both directions: the size of the QP changes during the run."""
     task = halfway(make())
@@ -578,7 +562,7 @@ def test_both_agree_while_joints_are_led_back(make: Callable[[], Scenario], acce
 @pytest.mark.parametrize("acceleration", [np.inf, 10.0])
 def test_both_agree_from_a_start_off_the_grasp(off: float, acceleration: float) -> None:
     for make in (paper_lift, mixed_cell):
-        task = limited(make, acceleration)
+        task = limited_once(make, acceleration)
         away = off * np.random.default_rng(4).standard_normal(task.cell.nv)
         pair(dataclasses.replace(task, q_start=task.cell.moved(task.q_start, away)), dt=0.005).run(150)
 
@@ -596,26 +580,9 @@ def zigzag(task: Scenario, law: str) -> WaypointPath:
 @pytest.mark.parametrize("law", slow_but_first(["linear", "quintic"]))
 @pytest.mark.parametrize("acceleration", [np.inf, 5.0])
 def test_both_agree_on_waypoints(law: str, acceleration: float) -> None:
-    task = limited(paper_lift, acceleration)
+    task = limited_once(paper_lift, acceleration)
     run = pair(task, path=lambda: zigzag(task, law), dt=0.01)
     assert run.run(1000).plain.step().finished
-
-
-class Own(ObjectPath):
-    """A user's path, which nothing but its poses is known of; with corners, and a mark where one might be."""
-
-    def __init__(self, inner: ObjectPath, *, known_ahead: bool = True, mark: float = np.inf) -> None:
-        self._inner, self.duration, self.known_ahead, self._mark = inner, inner.duration, known_ahead, mark
-
-    def pose(self, clock: float) -> pin.SE3:
-        return self._inner.pose(clock)
-
-    def twist(self, clock: float) -> Array:
-        return self._inner.twist(clock)
-
-    def next_breakpoint(self, clock: float) -> float:
-        corner = self._inner.next_breakpoint(clock)
-        return min(corner, self._mark) if clock < self._mark else corner
 
 
 @pytest.mark.slow
@@ -623,12 +590,12 @@ class Own(ObjectPath):
 @pytest.mark.parametrize("acceleration", [np.inf, 5.0])
 def test_both_agree_on_a_users_path_with_corners(acceleration: float) -> None:
     for make in (paper_lift, mixed_cell):
-        task = limited(make, acceleration)
-        run = pair(task, path=lambda task=task: Own(zigzag(task, "linear")), dt=0.01)
+        task = limited_once(make, acceleration)
+        run = pair(task, path=lambda task=task: Marked(zigzag(task, "linear")), dt=0.01)
         assert run.run(1000, noisy(task.cell, size=1e-5)).plain.step().finished
 
 
-class Unsaid(Own):
+class Unsaid(Marked):
     """It does not tell its corners."""
 
     def next_breakpoint(self, clock: float) -> float:
@@ -638,7 +605,7 @@ class Unsaid(Own):
 @pytest.mark.core
 @pytest.mark.parametrize("make", slow_but_first([paper_lift, mixed_cell]))
 def test_both_agree_on_corners_that_a_user_does_not_tell(make: Callable[[], Scenario]) -> None:
-    task = limited(make, 5.0)
+    task = limited_once(make, 5.0)
     run = pair(task, path=lambda: Unsaid(zigzag(task, "linear")), dt=0.01).run(40)
     for i in range(30):  # copies go on from any place within a search
         run.take()
@@ -652,8 +619,8 @@ def test_both_agree_on_corners_that_a_user_does_not_tell(make: Callable[[], Scen
 @pytest.mark.parametrize("acceleration", [np.inf, 5.0])
 def test_both_agree_on_a_path_that_is_not_known_ahead(acceleration: float) -> None:
     for make in (paper_lift, dual_arm7):
-        task = limited(make, acceleration)
-        run = pair(task, path=lambda task=task: Own(zigzag(task, "quintic"), known_ahead=False), dt=0.005)
+        task = limited_once(make, acceleration)
+        run = pair(task, path=lambda task=task: Marked(zigzag(task, "quintic"), known_ahead=False), dt=0.005)
         run.run(250, noisy(task.cell, size=1e-5))
         assert run.seen >= {Status.TRACKING}
 
@@ -673,16 +640,16 @@ def test_both_brake_together_where_a_path_that_is_not_known_ahead_runs_out_of_re
     cells = ((paper_lift, (0.6, 0.2, 0.5)), (mixed_cell, (-0.3, 0.7, 0.1)))
     turn = (BLIND.index(mode) + bool(np.isfinite(acceleration))) % 2
     for make, way in cells if NIGHTLY else (cells[turn],):
-        task = limited(make, acceleration)
+        task = limited_once(make, acceleration)
         line = LinePath.displaced(task.path.pose(0.0), translation=way, duration=1.6, time_law="quintic")
-        run = pair(task, path=lambda line=line: Own(line, known_ahead=False), dt=0.008, **options)
+        run = pair(task, path=lambda line=line: Marked(line, known_ahead=False), dt=0.008, **options)
         run.same = DISTURBED
         run.run(220, inputs(task, 0.008))
         assert run.lowest < 0.9
         assert np.abs(run.told[-1] - run.told[0]).max() > 0.1
 
 
-class Failing(Own):
+class Failing(Marked):
     """It fails, or jumps, from a clock on, while its owner says so."""
 
     since, jump = np.inf, 0.0
@@ -700,7 +667,7 @@ class Failing(Own):
 @pytest.mark.parametrize("jump", [0.0, 1e-3, 1.0])
 @pytest.mark.parametrize("acceleration", [np.inf, 10.0])
 def test_both_agree_while_a_users_path_fails(acceleration: float, jump: float) -> None:
-    task = limited(mixed_cell, acceleration)
+    task = limited_once(mixed_cell, acceleration)
     for known_ahead in (True, False):
         for ahead in (0.0, 0.1):
             # No multiple of a step is where a knot is: rounding would decide whether it is behind already.
@@ -723,8 +690,8 @@ def test_both_agree_while_a_users_path_fails(acceleration: float, jump: float) -
 @pytest.mark.slow
 @pytest.mark.core
 def test_a_users_path_is_followed_like_the_librarys_own() -> None:
-    task = limited(paper_lift, 5.0)
-    own = pair(task, path=lambda: Own(zigzag(task, "linear")), dt=0.01)
+    task = limited_once(paper_lift, 5.0)
+    own = pair(task, path=lambda: Marked(zigzag(task, "linear")), dt=0.01)
     known = pair(task, path=lambda: zigzag(task, "linear"), dt=0.01)
     both = np.array([(own.take().velocity, known.take().velocity) for _ in range(300)])
     own.compare()
@@ -737,7 +704,7 @@ def test_a_users_path_is_followed_like_the_librarys_own() -> None:
 @pytest.mark.parametrize("make", [paper_lift, dual_arm7], ids=lambda make: make.__name__)
 @pytest.mark.parametrize("acceleration", [np.inf, 10.0])
 def test_both_agree_on_moving_targets(acceleration: float, make: Callable[[], Scenario]) -> None:
-    task = limited(make, acceleration)
+    task = limited_once(make, acceleration)
     start, rng = task.path.pose(0.0), np.random.default_rng(8)
     run = pair(task, path=lambda: ServoPath(start), dt=0.005)
     run.same = DISTURBED
@@ -753,10 +720,10 @@ def test_both_agree_on_moving_targets(acceleration: float, make: Callable[[], Sc
 
 
 @pytest.mark.core
-@pytest.mark.parametrize("acceleration", [np.inf, 10.0])
+@pytest.mark.parametrize("acceleration", slow_but_first([10.0, np.inf]))
 def test_both_agree_on_targets_that_change_while_the_object_turns(acceleration: float) -> None:
     """The object's frame is askew to the world, and both halves of its velocity are there as the way is changed."""
-    task = limited(paper_lift, acceleration)
+    task = limited_once(paper_lift, acceleration)
     start = task.path.pose(0.0)
     run = pair(task, path=lambda: ServoPath(start), dt=0.005)
     run.same = DISTURBED
@@ -771,7 +738,7 @@ def test_both_agree_on_targets_that_change_while_the_object_turns(acceleration: 
 @pytest.mark.core
 def test_both_agree_when_another_path_is_followed_in_motion() -> None:
     for acceleration in (np.inf, 10.0):
-        task = limited(mixed_cell, acceleration)
+        task = limited_once(mixed_cell, acceleration)
         run = pair(task, dt=0.005).run(150)
         for goal in (task.path.pose(0.0), task.path.pose(2.0), task.path.pose(0.5)):
             here = run.plain.path.pose(run.plain.step().clock_next)
@@ -782,9 +749,9 @@ def test_both_agree_when_another_path_is_followed_in_motion() -> None:
 
 @pytest.mark.core
 @pytest.mark.parametrize("acceleration", [1e2, 1e3, 1e4, 1e6])
-@pytest.mark.parametrize("dt", [0.01, 0.06])
+@pytest.mark.parametrize("dt", slow_but_first([0.06, 0.01]))
 def test_both_agree_and_finish_however_far_joints_get_in_a_step(acceleration: float, dt: float) -> None:
-    task = limited(paper_lift, acceleration)
+    task = limited_once(paper_lift, acceleration)
     start, rng = task.path.pose(0.0), np.random.default_rng(5)
     by = {"translation": rng.normal(size=3) * 0.05, "rotation": rng.normal(size=3) * 0.1}
     run = pair(task, path=lambda: LinePath.displaced(start, duration=0.8, **by), dt=dt)
@@ -794,7 +761,7 @@ def test_both_agree_and_finish_however_far_joints_get_in_a_step(acceleration: fl
 
 @pytest.mark.core
 def test_both_agree_after_a_fault_and_a_reset() -> None:
-    task = limited(paper_lift, 20.0)
+    task = limited_once(paper_lift, 20.0)
     options = {"supervision": SupervisionOptions(joint_jump=2.0, stall_samples=None)}
     run = pair(task, dt=0.005, **options).run(60)
     arm = task.cell.q_slices[1]
@@ -820,7 +787,7 @@ def test_both_agree_after_a_fault_and_a_reset() -> None:
 def test_both_agree_with_any_solver(solver: str) -> None:
     loose = 1e-6 if solver == "proxqp" else SAME
     for acceleration in (np.inf, 5.0):
-        task = limited(at_limit, acceleration)
+        task = limited_once(at_limit, acceleration)
         a, b = (
             QPController(
                 task.cell, task.grasp, task.path, dt=0.005, options=QPOptions(kernel=k, shortcut=False, solver=solver)

@@ -20,7 +20,7 @@ KERNELS = available_kernels()
 
 
 @pytest.mark.parametrize(("dt", "bound"), [(0.02, 20e-6), (0.04, 50e-6), (0.06, 150e-6)])
-@pytest.mark.parametrize("kernel", KERNELS)
+@pytest.mark.parametrize("kernel", slow_but_first(KERNELS))
 def test_leaving_a_singularity_in_long_steps(kernel: str, dt: float, bound: float) -> None:
     """One linearisation parted the arms by 0.06 to 0.6 mm here."""
     for task in (at_singularity(), at_singularity("elbow")):
@@ -84,7 +84,7 @@ def test_joints_without_limits_do_not_run_away(kind: str, kernel: str) -> None:
     assert run.apart < 2e-3
 
 
-@pytest.mark.parametrize("kernel", KERNELS)
+@pytest.mark.parametrize("kernel", slow_but_first(KERNELS))
 @pytest.mark.parametrize("dt", [0.04, 0.06])
 def test_joints_without_limits_move_by_the_cap_in_a_step_and_no_further(dt: float, kernel: str) -> None:
     """Straight ways at 1.5 m/s without look-ahead: one joint is at the cap, and all arms slow down for it."""

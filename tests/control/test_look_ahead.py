@@ -9,24 +9,18 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 import pytest
+from runs import preview_of
+from user_paths import OnlyMarked
 
-from coopqp import LimitKind, ObjectPath, PostureOptions, PreviewOptions, WaypointPath
+from coopqp import LimitKind, WaypointPath
 from coopqp.control.lookahead.preview import PathPreview
 from coopqp.model.chain import Chain
 from coopqp.model.inverse_kinematics import newton
-from coopqp.model.posture import Posture
 from coopqp.paths import TimeLaw
 from coopqp.scenarios import Scenario, at_singularity, paper_lift
 from coopqp.spatial import Array
 
 DT = 0.002
-
-
-def preview_of(task: Scenario, **options: Any) -> PathPreview:
-    posture = Posture(task.cell, PostureOptions())
-    posture.reset(task.q_start)
-    chain = Chain(task.cell, task.grasp)
-    return PathPreview(chain, task.path, posture, dt=DT, options=PreviewOptions(**options))
 
 
 def cornered(acceleration: float) -> Scenario:
@@ -37,22 +31,6 @@ def cornered(acceleration: float) -> Scenario:
     poses = [pin.SE3(start.rotation, start.translation + np.array(p)) for p in places]
     path = WaypointPath(poses, durations=[0.3] * 3, time_law=TimeLaw.LINEAR)
     return replace(task, path=path, cell=task.cell.with_limits(acceleration=acceleration))
-
-
-class Marked(ObjectPath):
-    """A user's path along another one: it tells the clocks of these marks, and no others."""
-
-    def __init__(self, inner: ObjectPath, *marks: float) -> None:
-        self._inner, self.duration, self._marks = inner, inner.duration, marks
-
-    def pose(self, clock: float) -> pin.SE3:
-        return self._inner.pose(clock)
-
-    def twist(self, clock: float) -> Array:
-        return self._inner.twist(clock)
-
-    def next_breakpoint(self, clock: float) -> float:
-        return min((mark for mark in self._marks if mark > clock), default=self.duration)
 
 
 def on_the_path(task: Scenario, clock: float) -> Array:
@@ -66,7 +44,6 @@ def on_the_path(task: Scenario, clock: float) -> Array:
 
 def test_the_rate_rises_no_faster_than_the_knots_on_both_sides_allow() -> None:
     preview = preview_of(cornered(5.0))
-    preview.reset(cornered(5.0).q_start, 0.0)
     knots = preview.horizon.knots
     here, ahead = knots[0], knots[1]
     middle = 0.5 * (here.clock + ahead.clock)
@@ -81,7 +58,6 @@ def test_joints_that_no_step_limits_bound_the_rise() -> None:
     """A rise of σ by u accelerates joint j by q′ u: the joint with the largest share of its acceleration is named."""
     task = cornered(np.inf)
     preview = preview_of(task)
-    preview.reset(task.q_start, 0.0)
     knots, acceleration = preview.horizon.knots, preview._plan.acceleration
     for first, second in ((1.0, 0.2), (0.2, 1.0)):
         slopes = first * knots[0].slope, second * knots[0].slope
@@ -145,7 +121,6 @@ def test_the_fastest_fall_takes_one_joint_to_its_acceleration(rate: float) -> No
 def test_the_fastest_fall_leaves_room_for_the_bend(rate: float, monkeypatch: pytest.MonkeyPatch) -> None:
     """Where q″σ² takes almost half of the acceleration, with the motion or against it; a joint that rests sets none."""
     preview = preview_of(cornered(5.0))
-    preview.reset(cornered(5.0).q_start, 0.0)
     most = preview._plan.acceleration
     for share in (0.45, -0.45):
         slope = np.linspace(-1.0, 1.0, len(most)) * (np.arange(len(most)) > 2)
@@ -161,7 +136,6 @@ def test_a_rate_keeps_to_what_is_known_ahead_in_steps_of_any_length() -> None:
     """σ² ≤ K in the middle and at the end of every step, whatever the lengths of the steps before."""
     task = cornered(20.0)
     preview = preview_of(task)
-    preview.reset(task.q_start, 0.0)
     clock, slowed = 0.0, 0
     while clock < task.path.duration - 2.0 * DT:
         rates = []
@@ -199,7 +173,7 @@ def test_a_copy_knows_the_same_corners_and_goes_on_alike() -> None:
 @pytest.mark.slow
 def test_a_copy_within_a_knot_knows_the_corners_that_were_found_before() -> None:
     """The path does not tell them. Each knot takes some Newton steps, and a copy is taken after each step."""
-    task = replace(cornered(5.0), path=Marked(cornered(5.0).path))
+    task = replace(cornered(5.0), path=OnlyMarked(cornered(5.0).path))
     preview, taken = preview_of(task), 0
     preview.reset(task.q_start, 0.0)
     while preview.horizon.knots[-1].clock < 0.85:
@@ -221,7 +195,7 @@ def test_corners_that_a_path_does_not_tell_are_found_where_they_are() -> None:
     places = ((0.0, 0.0, 0.0), (0.0, 0.0, 0.05), (0.05, 0.0, 0.0), (0.1, 0.0, -0.055))
     poses = [pin.SE3(start.rotation, start.translation + np.array(p)) for p in places]
     path = WaypointPath(poses, durations=[0.3] * 3, time_law=TimeLaw.LINEAR)
-    preview = preview_of(replace(task, path=Marked(path)))
+    preview = preview_of(replace(task, path=OnlyMarked(path)))
     preview.reset(task.q_start, 0.0)
     while not preview.horizon.complete:
         assert preview._growth.step()
@@ -231,7 +205,7 @@ def test_corners_that_a_path_does_not_tell_are_found_where_they_are() -> None:
 
 def test_a_jump_of_a_path_is_found_where_it_is(monkeypatch: pytest.MonkeyPatch) -> None:
     task = cornered(5.0)
-    jumping = Marked(task.path)
+    jumping = OnlyMarked(task.path)
     monkeypatch.setattr(
         jumping, "pose", lambda clock: pin.SE3(np.eye(3), np.full(3, 0.1 * (clock > 0.2037))) * task.path.pose(clock)
     )
@@ -250,10 +224,9 @@ def test_no_step_looks_far_ahead_at_once(monkeypatch: pytest.MonkeyPatch) -> Non
     """K is found for four knots at a time. One is there before it is needed: three Newton steps at most at once."""
     task = paper_lift()
     preview = preview_of(task)
-    preview.reset(task.q_start, 0.0)
     newton_step, calls = preview._chain._newton_step, [0]
 
-    def counted(clock: float, q: Array, **options: Any) -> bool:
+    def counted(clock: float, q: Array, **options: Any) -> Any:
         calls[0] += 1
         return newton_step(clock, q, **options)
 
@@ -293,7 +266,7 @@ def test_a_way_past_a_singularity_is_known_as_a_whole_or_not_at_all(mark: float 
     """Knots at which the joints only turn faster are no end. A mark on the way hides what comes after it: a stop."""
     task = at_singularity("wrist", 2, miss=5e-4, acceleration=10.0)
     at = [share * task.path.duration for share in (0.745, 0.7487, 0.7505)]
-    preview = preview_of(replace(task, path=Marked(task.path, *at[1:2] if mark else ())))
+    preview = preview_of(replace(task, path=OnlyMarked(task.path, *at[1:2] if mark else ())))
     preview.reset(on_the_path(task, at[0]), at[0])
     knots = preview.horizon.knots
     while knots[-1].clock < at[2] and not preview.horizon.complete:
@@ -313,7 +286,7 @@ def test_where_the_path_fails_nothing_is_known_and_the_object_rests_until_it_ans
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     task = paper_lift(time_law=TimeLaw.QUINTIC)
-    path = Marked(task.path)
+    path = OnlyMarked(task.path)
     preview = preview_of(replace(task, path=path))
     with monkeypatch.context() as failing:
         failing.setattr(path, "pose", lambda clock: None)
@@ -334,7 +307,7 @@ def test_where_the_path_fails_nothing_is_known_and_the_object_rests_until_it_ans
 
 def test_a_twist_that_fails_ahead_is_told_and_asked_for_again(monkeypatch: pytest.MonkeyPatch) -> None:
     task = paper_lift(time_law=TimeLaw.QUINTIC)
-    path = Marked(task.path)
+    path = OnlyMarked(task.path)
     preview = preview_of(replace(task, path=path))
     preview.reset(task.q_start, 0.0)
     known = preview.horizon.knots[-1].clock
@@ -350,7 +323,7 @@ def test_a_twist_that_fails_ahead_is_told_and_asked_for_again(monkeypatch: pytes
 
 def test_a_mark_where_the_path_does_not_bend_costs_nothing() -> None:
     task = paper_lift(time_law=TimeLaw.QUINTIC)
-    task = replace(task, path=Marked(task.path, 0.4), cell=task.cell.with_limits(acceleration=5.0))
+    task = replace(task, path=OnlyMarked(task.path, 0.4), cell=task.cell.with_limits(acceleration=5.0))
     preview = preview_of(task)
     followed(preview, task, 0.38)
     corner = next(knot for knot in preview.horizon.knots if knot.corner)

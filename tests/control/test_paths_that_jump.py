@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 import pytest
+from marks import slow_but_first
 
 from coopqp import ObjectPath, QPController, QPOptions, Status
 from coopqp.native import available_kernels
@@ -60,7 +61,7 @@ def controller_on(kind: str, kernel: str, acceleration: float) -> tuple[QPContro
     return controller, path
 
 
-@pytest.mark.parametrize("acceleration", [np.inf, 8.0])
+@pytest.mark.parametrize("acceleration", slow_but_first([8.0, np.inf]))
 @pytest.mark.parametrize("kind", ["stairs", "ramps and stairs", "root", "kinks"])
 def test_a_step_asks_a_path_a_few_times_and_says_what_stops_it(kind: str, acceleration: float) -> None:
     controller, path = controller_on(kind, available_kernels()[0], acceleration)
@@ -94,7 +95,7 @@ def test_a_path_that_starts_like_a_root_is_too_steep_and_jumps_not(kernel: str) 
 @pytest.mark.core
 @pytest.mark.skipif("compiled" not in available_kernels(), reason="nothing is compiled")
 @pytest.mark.parametrize("kind", ["ramps and stairs", "root", pytest.param("kinks", marks=pytest.mark.slow)])
-@pytest.mark.parametrize("acceleration", [np.inf, 8.0])
+@pytest.mark.parametrize("acceleration", slow_but_first([8.0, np.inf]))
 def test_both_kernels_agree_on_paths_that_jump_and_bend(kind: str, acceleration: float) -> None:
     (plain, _), (compiled, _) = (controller_on(kind, kernel, acceleration) for kernel in ("plain", "compiled"))
     for _ in range(330):

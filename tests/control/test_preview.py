@@ -12,7 +12,8 @@ import numpy as np
 import pinocchio as pin
 import pytest
 from marks import slow_but_first
-from wrapped import Opaque
+from runs import preview_of
+from user_paths import Jumping, Opaque
 
 from coopqp import (
     BindingLimit,
@@ -21,7 +22,6 @@ from coopqp import (
     LimitKind,
     LinePath,
     ObjectPath,
-    PostureOptions,
     PreviewOptions,
     QPController,
     QPOptions,
@@ -29,10 +29,8 @@ from coopqp import (
     Status,
     WaypointPath,
 )
-from coopqp.control.lookahead.preview import PathPreview
 from coopqp.model.chain import Chain
 from coopqp.model.inverse_kinematics import newton
-from coopqp.model.posture import Posture
 from coopqp.native import available_kernels
 from coopqp.paths import TimeLaw
 from coopqp.scenarios import Scenario, at_limit, at_singularity, dual_arm7, mixed_cell, paper_lift
@@ -44,15 +42,6 @@ pytestmark = pytest.mark.core
 NIGHTLY = os.environ.get("HYPOTHESIS_PROFILE") == "nightly"
 DIRECTIONS = 40 if NIGHTLY else 6
 DT = 0.002
-
-
-def preview_of(task: Scenario, *, dt: float = DT, **options: Any) -> PathPreview:
-    posture = Posture(task.cell, PostureOptions())
-    posture.reset(task.q_start)
-    chain = Chain(task.cell, task.grasp)
-    preview = PathPreview(chain, task.path, posture, dt=dt, options=PreviewOptions(**options))
-    preview.reset(task.q_start, 0.0)
-    return preview
 
 
 class Joints:
@@ -286,7 +275,7 @@ def test_every_arm_keeps_away_from_the_end_of_its_reach_by_what_joints_cover_in_
     preview = preview_of(at_singularity(kind, 1, acceleration=10.0), dt=0.05)
     while not preview.horizon.complete:
         assert preview._growth.step()
-    rooms = np.array([knot.rooms for knot in preview.horizon.knots])
+    rooms = np.array([knot.steps_to_reach_end for knot in preview.horizon.knots])
     assert 1.0 < rooms.min() < 2.0
     assert (rooms[-1] > 10.0).sum() == 2
     assert preview.horizon.knots[-1].binding == BindingLimit("arm_2", "", LimitKind.REACH)
@@ -304,7 +293,7 @@ def test_the_way_back_from_the_end_of_a_reach_is_free(kind: Any) -> None:
     preview = preview_of(replace(out, path=path, q_start=last.q), dt=0.05)
     while not preview.horizon.complete:
         assert preview._growth.step()
-    rooms = np.array([knot.rooms for knot in preview.horizon.knots])
+    rooms = np.array([knot.steps_to_reach_end for knot in preview.horizon.knots])
     assert rooms[0].min() < 1.0 < rooms[-1].min()
     assert (np.diff(rooms, axis=0).min(axis=0) < 0.0).any()
     assert preview.horizon.knots[-1].clock == path.duration
@@ -330,20 +319,6 @@ def test_of_two_limits_the_object_stops_at_the_first(order: int) -> None:
     assert rates[-1] < 1e-6
     assert clocks[-1] == pytest.approx(early, abs=1e-6)
     assert f"{binding.arm}/{binding.joint}" == task.cell.joint_names[first]
-
-
-class Jumping(ObjectPath):
-    """A user's path that jumps to another place."""
-
-    def __init__(self, inner: ObjectPath, since: float, by: Array) -> None:
-        self._inner, self.duration, self._since, self._by = inner, inner.duration, since, by
-
-    def pose(self, clock: float) -> pin.SE3:
-        pose = self._inner.pose(clock)
-        return pin.SE3(pose.rotation, pose.translation + (clock >= self._since) * self._by)
-
-    def twist(self, clock: float) -> Array:
-        return self._inner.twist(clock)
 
 
 @pytest.mark.parametrize("by", slow_but_first([(0.1, 0.0, 0.0), (0.0, 0.5, 0.5)]))

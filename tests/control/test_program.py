@@ -583,10 +583,10 @@ def test_arms_slow_down_by_one_factor_where_no_motion_of_the_object_will_do(
 
 def test_ratios_of_at_least_100_keep_the_ranks_apart() -> None:
     w = RankWeights()
-    for upper, lower in itertools.pairwise((w.chain, w.recovery, w.off_path, w.grasp, w.path, w.rate, w.comfort)):
+    for upper, lower in itertools.pairwise((w.chain, w.recovery, w.off_path, w.grasp, w.path, w.rate, w.posture)):
         assert upper >= 99.9 * lower
     assert w.clearance == w.recovery
-    assert w.comfort >= 1e-14 * w.chain  # solvers manage no more
+    assert w.posture >= 1e-14 * w.chain  # solvers manage no more
     assert 0.1 <= w.length <= 1.0
 
 

@@ -12,7 +12,9 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 import pytest
+from cells import with_mismatch
 from marks import slow_but_first, slow_unless
+from runs import built, drive
 
 from coopqp import (
     Arm,
@@ -69,26 +71,9 @@ NIGHTLY = os.environ.get("HYPOTHESIS_PROFILE") == "nightly"
 MM = 1e-3
 
 
-def make(task: Scenario, *, dt: float | None = None, **options: Any) -> QPController:
-    controller = QPController(task.cell, task.grasp, task.path, dt=dt or task.dt, options=QPOptions(**options))
-    controller.reset(task.q_start)
-    return controller
-
-
-def go(controller: QPController, *, longest: int = 6000, dwell: int = 20) -> list[ControlStep]:
-    """Run until the path is finished or the object has stopped for ``dwell`` steps."""
-    steps: list[ControlStep] = []
-    waited = 0
-    while len(steps) < longest and waited < dwell:
-        steps.append(controller.step())
-        waited = waited + 1 if steps[-1].status is Status.BLOCKED else 0
-        if steps[-1].finished:
-            break
-    return steps
-
-
-def run(task: Scenario, *, dt: float | None = None, longest: int = 6000, **options: Any) -> list[ControlStep]:
-    return go(make(task, dt=dt, **options), longest=longest)
+def run(task: Scenario, *, longest: int = 6000, **options: Any) -> list[ControlStep]:
+    """Until the path is finished or the object has stopped for 20 steps."""
+    return drive(built(task, **options), longest, rest=20)
 
 
 def chain_of(task: Scenario, steps: Sequence[ControlStep]) -> Array:
@@ -110,13 +95,6 @@ def acceleration_used(task: Scenario, steps: Sequence[ControlStep]) -> float:
     """Largest used share of an acceleration limit, including the start from rest."""
     v = np.array([np.zeros(task.cell.nv), *(s.velocity for s in steps)])
     return float((np.abs(np.diff(v, axis=0)) / (steps[0].dt * task.cell.limits.acceleration)).max())
-
-
-def with_mismatch(task: Scenario, arm: int, shift: Sequence[float], turn: Sequence[float] = (0, 0, 0)) -> Scenario:
-    """The same start, with another assumed grasp of an arm."""
-    tools = list(task.grasp.T_object_tool)
-    tools[arm] = pin.SE3(pin.exp3(np.array(turn, dtype=float)), np.array(shift, dtype=float)) * tools[arm]
-    return replace(task, grasp=Grasp(tuple(tools)))
 
 
 # -- invariance --------------------------------------------------------------------------------------------------------
@@ -147,15 +125,6 @@ def test_the_world_frame_does_not_matter(scenario: Callable[..., Scenario], shor
         assert np.abs(a.velocity - b.velocity).max() < 2e-7
         assert a.rate == pytest.approx(b.rate, abs=1e-7)
         assert a.status is b.status
-
-
-def reordered(task: Scenario, order: Sequence[int]) -> Scenario:
-    return replace(
-        task,
-        cell=RobotCell([task.cell.arms[k] for k in order]),
-        grasp=Grasp(tuple(task.grasp.T_object_tool[k] for k in order)),
-        q_start=np.concatenate([task.q_start[task.cell.q_slices[k]] for k in order]),
-    )
 
 
 @pytest.mark.parametrize("scenario", [fast_lift, at_limit, dual_arm7])
@@ -213,12 +182,12 @@ def test_shortcut_form_and_solver_change_nothing_that_matters(scenario: Callable
         assert excess(task, steps) == 0.0, way
 
 
-@pytest.mark.parametrize("kernel", available_kernels())
+@pytest.mark.parametrize("kernel", slow_but_first(available_kernels()))
 def test_kernels_agree(kernel: str) -> None:
     task = fast_lift()
-    controller = make(task, kernel=kernel)
+    controller = built(task, kernel=kernel)
     assert controller.kernel == kernel
-    for a, b in zip(go(controller, longest=300), run(task, longest=300, kernel="plain"), strict=True):
+    for a, b in zip(drive(controller, 300, rest=20), run(task, longest=300, kernel="plain"), strict=True):
         assert np.abs(a.velocity - b.velocity).max() < 1e-8
 
 
@@ -255,7 +224,7 @@ def test_master_slave_the_object_is_where_the_master_carries_it(master: int) -> 
                 duration=3.0,
             ),
         )
-    steps = run(task, common_error=CommonError.master(master))
+    steps = run(task, common_error=CommonError.leader(master))
     d, a = views(task, steps, master)
     assert d < 1e-3 * MM
     assert a < 1e-6
@@ -278,7 +247,7 @@ def test_driver_orients_and_master_positions() -> None:
     """The paper's mode I: the master determines the object's position, the driver its orientation."""
     task = with_mismatch(paper_lift(time_law=TimeLaw.QUINTIC), 0, (0, 0, 0), TURN)
     task = with_mismatch(task, 2, SHIFT)
-    strategy = CommonError.driver(master="master", driver="slave_2")
+    strategy = CommonError.driver(leader="master", driver="slave_2")
     steps = run(task, common_error=strategy, path_gain=0.0)
     positions, angles = zip(*(views(task, steps, k) for k in range(3)), strict=True)
     assert positions[0] < 0.05 * MM  # second order in the mismatch
@@ -287,7 +256,7 @@ def test_driver_orients_and_master_positions() -> None:
     assert positions[2] > 0.8 * np.linalg.norm(SHIFT)
     assert chain_of(task, steps)[-1] < 1e-6 * MM
     # With only a master, the driver turns to the master's orientation.
-    other = run(task, common_error=CommonError.master("master"), path_gain=0.0)
+    other = run(task, common_error=CommonError.leader("master"), path_gain=0.0)
     assert views(task, other, 0)[1] == pytest.approx(np.linalg.norm(TURN), rel=0.02)
     assert views(task, other[-1:], 2)[1] == pytest.approx(np.linalg.norm(TURN), rel=0.02)
 
@@ -298,7 +267,7 @@ def test_weights_per_axis_are_what_the_strategies_are_made_of() -> None:
     weights = np.zeros((3, 6))
     weights[0] = 1.0
     a = run(task, longest=50, common_error=CommonError.per_axis(weights))
-    b = run(task, longest=50, common_error=CommonError.master())
+    b = run(task, longest=50, common_error=CommonError.leader())
     assert all(np.array_equal(x.velocity, y.velocity) for x, y in zip(a, b, strict=True))
 
 
@@ -307,9 +276,9 @@ def test_weights_per_axis_are_what_the_strategies_are_made_of() -> None:
 )
 def test_weights_that_do_not_fit(weights: Any) -> None:
     with pytest.raises(InvalidInputError, match="CommonError"):
-        make(paper_lift(), common_error=CommonError.per_axis(weights))
+        built(paper_lift(), common_error=CommonError.per_axis(weights))
     with pytest.raises(UnknownNameError, match="Did you mean 'slave_1'"):
-        make(paper_lift(), common_error=CommonError.master("slave1"))
+        built(paper_lift(), common_error=CommonError.leader("slave1"))
 
 
 # -- drift and its correction ------------------------------------------------------------------------------------------
@@ -399,8 +368,8 @@ def test_drift_of_the_papers_lift(steps: int, bound: float) -> None:
 def test_the_final_pose_is_held(time_law: TimeLaw, acceleration: float) -> None:
     task = paper_lift(time_law=time_law, duration=1.0)
     task = replace(task, cell=task.cell.with_limits(acceleration=acceleration), dt=0.002)
-    controller = make(task)
-    steps = go(controller)
+    controller = built(task)
+    steps = drive(controller, rest=20)
     assert steps[-1].finished
     assert steps[-1].clock_next == 1.0
     after = [controller.step() for _ in range(200)]
@@ -426,7 +395,7 @@ def test_the_clock_advances_by_the_rate() -> None:
 def test_the_length_of_a_step_may_vary(rng: np.random.Generator) -> None:
     task = paper_lift(time_law=TimeLaw.QUINTIC, duration=1.0)
     task = replace(task, cell=task.cell.with_limits(acceleration=10.0), dt=0.002)
-    controller = make(task)
+    controller = built(task)
     steps: list[ControlStep] = []
     while not steps or not steps[-1].finished:
         steps.append(controller.step(dt=float(rng.uniform(0.0016, 0.0024))))
@@ -440,12 +409,12 @@ def test_the_length_of_a_step_may_vary(rng: np.random.Generator) -> None:
 
 def test_follow_goes_on_from_a_standstill() -> None:
     task = at_limit()
-    controller = make(task)
-    steps = go(controller)
+    controller = built(task)
+    steps = drive(controller, rest=20)
     assert steps[-1].status is Status.BLOCKED
     stuck = steps[-1]
     controller.follow(LinePath(task.path.pose(stuck.clock_next), task.path.pose(0.0), duration=1.0))
-    back = go(controller)
+    back = drive(controller, rest=20)
     assert back[-1].finished
     everything = [*steps, *back]
     assert chain_of(task, everything).max() < 1e-3 * MM
@@ -492,7 +461,7 @@ def test_a_deflected_arm_does_not_wind_up_the_command(rng: np.random.Generator) 
     """The servos of one arm have a constant deflection under the grip, which no command can change."""
     task = paper_lift()
     task = replace(task, path=HoldPath(task.path.pose(0.0), duration=10.0), dt=0.004)
-    controller = make(task, common_error=CommonError.leaderless())
+    controller = built(task, common_error=CommonError.leaderless())
     deflection = np.zeros(18)
     deflection[6:12] = rng.normal(size=6) * 1e-4
     q, steps = task.q_start, []
@@ -511,7 +480,7 @@ def test_the_object_goes_where_it_should_be_as_measured() -> None:
     task = replace(task, path=HoldPath(start, duration=10.0), dt=0.004)
     shifted = pin.SE3(start.rotation, start.translation + np.array([2e-4, -3e-4, 1e-4]))
     offset = inverse_kinematics(task.cell, task.grasp, shifted, task.q_start) - task.q_start
-    controller = make(task)
+    controller = built(task)
     measured = task.q_start + offset
     for _ in range(500):
         measured = controller.step(measured).q_next + offset
@@ -521,7 +490,7 @@ def test_the_object_goes_where_it_should_be_as_measured() -> None:
 
 def test_a_perfect_measurement_changes_nothing() -> None:
     task = fast_lift()
-    blind, seeing = make(task), make(task)
+    blind, seeing = built(task), built(task)
     q = task.q_start
     for _ in range(200):
         a, b = blind.step(), seeing.step(q)
@@ -614,7 +583,9 @@ def test_what_arms_with_few_joints_cannot_do_is_left_out() -> None:
     assert heading == pytest.approx(0.3, abs=0.02)
 
 
-@pytest.mark.parametrize("scenario", [paper_lift, dual_arm7, mixed_cell, scara_pair])
+@pytest.mark.parametrize(
+    "scenario", slow_unless(lambda make: make is not scara_pair, [paper_lift, dual_arm7, mixed_cell, scara_pair])
+)
 def test_limits_may_be_missing(scenario: Callable[..., Scenario]) -> None:
     task = scenario()
     free = task.cell.with_limits(lower=-np.inf, upper=np.inf, velocity=np.inf, acceleration=np.inf)
@@ -698,7 +669,7 @@ def test_a_step_tells_what_binds() -> None:
 @pytest.mark.filterwarnings("ignore::coopqp.errors.StartWarning")
 def test_readings_of_a_step_are_those_of_the_metrics() -> None:
     task = with_mismatch(paper_lift(), 1, SHIFT, TURN)
-    controller = make(task)
+    controller = built(task)
     for _ in range(3):
         step = controller.step()
         (tools,) = tool_placements(task.cell, [step.q])
@@ -732,10 +703,10 @@ def test_inputs_are_not_changed() -> None:
 def test_runs_repeat_to_the_last_bit() -> None:
     for scenario in (fast_lift, dual_arm7):
         task = scenario()
-        controller = make(task, shortcut=False)
-        first = go(controller, longest=60)
+        controller = built(task, shortcut=False)
+        first = drive(controller, 60, rest=20)
         controller.reset(task.q_start)
-        second = go(controller, longest=60)
+        second = drive(controller, 60, rest=20)
         assert all(np.array_equal(a.velocity, b.velocity) for a, b in zip(first, second, strict=True))
 
 

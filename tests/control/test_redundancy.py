@@ -7,27 +7,20 @@ from collections.abc import Callable
 import numpy as np
 import pinocchio as pin
 import pytest
+from cells import on_another_joint
 
-from coopqp import Arm, Grasp, RobotCell
+from coopqp import Grasp, RobotCell
 from coopqp.control.lookahead.redundancy import LimitAvoidance
 from coopqp.model import CellState
 from coopqp.model.chain import Chain
 from coopqp.native.constants import LIMIT_MARGIN, TURNING_WAY
-from coopqp.scenarios import robot_path
 from coopqp.spatial import Array
 
 
-def eight_joints() -> RobotCell:
-    """An arm of seven joints on a turntable, with other speeds for its joints."""
-    own = Arm.from_urdf("arm7", robot_path("arm7"), tool_frame="tool", geometry=False)
-    model = pin.Model()
-    ends = np.full(1, 2.0)
-    joint = model.addJoint(
-        0, pin.JointModelRZ(), pin.SE3.Identity(), "below", np.array([50.0]), np.array([1.0]), -ends, ends
-    )
-    frame = model.addFrame(pin.Frame("platform", joint, 0, pin.SE3.Identity(), pin.FrameType.OP_FRAME))
-    whole = pin.appendModel(model, own.model, frame, pin.SE3.Identity())
-    return RobotCell([Arm.from_model("arm", whole, tool_frame="tool")]).with_limits(velocity=np.linspace(0.5, 2.0, 8))
+def on_a_turntable() -> RobotCell:
+    """An arm of eight joints, with other speeds for each."""
+    arm = on_another_joint("arm", pin.JointModelRZ(), pin.SE3.Identity())
+    return RobotCell([arm]).with_limits(velocity=np.linspace(0.5, 2.0, 8))
 
 
 def self_motions(cell: RobotCell, q: Array) -> Array:
@@ -49,7 +42,7 @@ def wanted(cell: RobotCell, q: Array, slope: Array) -> tuple[Array, Array, Array
 def test_the_joint_that_is_worst_off_is_led_away_by_the_least_self_motion(
     robot: str, make_cell: Callable[..., RobotCell], random_q: Callable[..., Array], rng: np.random.Generator
 ) -> None:
-    cell = make_cell(["arm7"]) if robot == "arm7" else eight_joints()
+    cell = make_cell(["arm7"]) if robot == "arm7" else on_a_turntable()
     chain = Chain(cell, Grasp((pin.SE3.Identity(),)))
     avoidance, led = LimitAvoidance(chain), 0
     for _ in range(150):
@@ -62,8 +55,7 @@ def test_the_joint_that_is_worst_off_is_led_away_by_the_least_self_motion(
         chain.evaluate(q, np.zeros(3))
         chain.invert()
         before = rng.normal(size=cell.nv) * cell.limits.velocity
-        slope = before.copy()
-        avoidance.lead_away(x, slope)
+        slope = avoidance.led_away(x, before)
         down, up, beyond = wanted(cell, q, before)
         own, changed = self_motions(cell, q), (slope - before) / cell.limits.velocity
         worst = int(beyond.argmax())

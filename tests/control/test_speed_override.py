@@ -12,6 +12,7 @@ import numpy as np
 import pinocchio as pin
 import pytest
 from marks import slow_but_first
+from runs import built, drive, fast_lift, hurried, limited
 
 from coopqp import (
     BindingLimit,
@@ -30,33 +31,13 @@ from coopqp.scenarios import Scenario, dual_arm7, mixed_cell, paper_lift, ring
 from coopqp.simulation.evaluation import metrics
 
 KERNELS = available_kernels()
+DT = 0.002
 #: Largest error of chain and path, from the commanded configuration [m].
 EXACT = 0.5e-6
 #: What a step calls the override.
 OVERRIDE = BindingLimit("", "", LimitKind.OVERRIDE)
 #: What an operator does at a step.
 Hand = Callable[[QPController, int], None]
-
-
-def limited(task: Scenario, acceleration: float) -> Scenario:
-    return dataclasses.replace(task, cell=task.cell.with_limits(acceleration=acceleration))
-
-
-def hurried(task: Scenario, seconds: float) -> Scenario:
-    """The same line, so fast that accelerations bind all the way."""
-    assert isinstance(task.path, LinePath)
-    path = LinePath(task.path.start, task.path.goal, duration=seconds, time_law="quintic")
-    return dataclasses.replace(task, path=path)
-
-
-def fast_lift() -> Scenario:
-    return hurried(paper_lift(), 0.6)
-
-
-def built(task: Scenario, kernel: str = "auto", dt: float = 0.002, **options: Any) -> QPController:
-    made = QPController(task.cell, task.grasp, task.path, dt=dt, options=QPOptions(kernel=kernel, **options))
-    made.reset(task.q_start)
-    return made
 
 
 def random_hand(seed: int) -> Hand:
@@ -71,14 +52,6 @@ def random_hand(seed: int) -> Hand:
             controller.resume()
 
     return act
-
-
-def drive(controller: QPController, hand: Hand, steps: int = 5000) -> list[ControlStep]:
-    found: list[ControlStep] = []
-    while len(found) < steps and not (found and found[-1].finished):
-        hand(controller, len(found))
-        found.append(controller.step())
-    return found
 
 
 def errors_of(task: Scenario, steps: list[ControlStep]) -> tuple[float, float]:
@@ -109,7 +82,7 @@ CELLS: dict[str, Callable[[], Scenario]] = {
 @pytest.mark.parametrize("name", CELLS)
 def test_a_random_override_keeps_chain_path_and_limits(name: str, kernel: str) -> None:
     task = limited(CELLS[name](), 5.0)
-    steps = drive(built(task, kernel), random_hand(0), 400)
+    steps = drive(built(task, kernel, dt=DT), 400, before=random_hand(0))
     chain, path = errors_of(task, steps)
     assert chain < EXACT
     assert path < EXACT
@@ -124,7 +97,7 @@ def test_a_random_override_keeps_chain_path_and_limits(name: str, kernel: str) -
 def test_a_random_override_keeps_chain_path_and_limits_of_many_arms(arms: int, robot: Any) -> None:
     task = limited(hurried(ring(arms=arms, robot=robot), 0.4), 5.0)
     for seed in range(2):
-        steps = drive(built(task), random_hand(seed), 2000 // arms)
+        steps = drive(built(task, dt=DT), 2000 // arms, before=random_hand(seed))
         chain, path = errors_of(task, steps)
         assert chain < EXACT
         assert path < EXACT
@@ -138,7 +111,7 @@ def test_corners_are_passed_under_any_override() -> None:
     T = [task.path.pose(s * task.path.duration) for s in (0.0, 0.3, 0.1, 0.5)]
     task = dataclasses.replace(task, path=WaypointPath(T, durations=[0.6, 0.6, 0.9], time_law="linear"))
     for seed in range(3):
-        steps = drive(built(task), random_hand(seed), 9000)
+        steps = drive(built(task, dt=DT), 9000, before=random_hand(seed))
         chain, path = errors_of(task, steps)
         assert steps[-1].finished
         assert excess_of(task, steps) < 1e-6
@@ -152,7 +125,7 @@ def test_a_stop_takes_hardly_longer_than_the_hardest_one() -> None:
     for when in (45, 120, 250):
         task, hardest = limited(fast_lift(), 5.0), 0.0
         for kernel in KERNELS:
-            controller = built(task, kernel)
+            controller = built(task, kernel, dt=DT)
             for _ in range(when):
                 step = controller.step()
             hardest = hardest or braking_time(task, step)  # both kernels are in the same state
@@ -193,7 +166,7 @@ def braking_time(task: Scenario, step: ControlStep) -> float:
 def test_both_kernels_agree_under_any_override(name: str, acceleration: float) -> None:
     task = limited(CELLS[name](), acceleration)
     for options in ({}, {"preview": None}):
-        a, b = built(task, "compiled", 0.005, **options), built(task, "plain", 0.005, **options)
+        a, b = built(task, "compiled", dt=0.005, **options), built(task, "plain", dt=0.005, **options)
         one, other = random_hand(3), random_hand(3)
         for i in range(150):
             if i % 10 == 0 or i % 120 in (60, 100):
@@ -205,15 +178,15 @@ def test_both_kernels_agree_under_any_override(name: str, acceleration: float) -
 
 
 @pytest.mark.core
-@pytest.mark.parametrize("kernel", KERNELS)
+@pytest.mark.parametrize("kernel", slow_but_first(KERNELS))
 @pytest.mark.parametrize("way", [copy.copy, copy.deepcopy, lambda c: pickle.loads(pickle.dumps(c))])
 def test_a_copy_keeps_the_reins(way: Callable[[QPController], QPController], kernel: str) -> None:
     task = limited(dual_arm7(), 5.0)
-    controller = built(task, kernel)
+    controller = built(task, kernel, dt=DT)
     controller.set_override(0.6)
-    drive(controller, lambda c, i: None, 60)
+    drive(controller, 60)
     controller.pause()
-    drive(controller, lambda c, i: None, 20)  # it brakes
+    drive(controller, 20)  # it brakes
     other = way(controller)
     assert (other.override, other.paused) == (0.6, True)
     for i in range(120):
@@ -239,7 +212,7 @@ def test_the_reins_hold_before_and_after_a_reset_and_a_new_path(kernel: str) -> 
         controller.reset(task.q_start)
         assert controller.step().status is Status.PAUSED
         controller.resume()
-        steps = drive(controller, lambda c, i: None, 100)
+        steps = drive(controller, 100)
         assert steps[-1].rate == 0.5
         assert steps[-1].binding == (OVERRIDE,)
         assert "override" in steps[-1].explain()
@@ -248,14 +221,14 @@ def test_the_reins_hold_before_and_after_a_reset_and_a_new_path(kernel: str) -> 
 def test_a_pause_stops_the_null_space_too_and_ends_smoothly() -> None:
     task = limited(dual_arm7(), 5.0)
     for options in ({}, {"preview": None}):
-        controller = built(task, **options)
-        steps = drive(controller, lambda c, i: None, 300)
+        controller = built(task, dt=DT, **options)
+        steps = drive(controller, 300)
         controller.pause()
-        steps += drive(controller, lambda c, i: None, 300)
+        steps += drive(controller, 300)
         assert steps[-1].status is Status.PAUSED
         assert float(np.abs(steps[-1].velocity).max()) < 1e-9
         controller.resume()
-        steps += drive(controller, lambda c, i: None, 300)
+        steps += drive(controller, 300)
         assert steps[-1].status is Status.TRACKING
         assert excess_of(task, steps) < 1e-6
 
@@ -266,21 +239,21 @@ def test_a_servo_target_can_be_paused() -> None:
         task = limited(paper_lift(), acceleration)
         start, goal = task.path.pose(0.0), task.path.pose(task.path.duration)
         task = dataclasses.replace(task, path=ServoPath(start, speed=0.1))
-        controller = built(task)
+        controller = built(task, dt=DT)
         controller.retarget(goal)
-        steps = drive(controller, lambda c, i: None, 200)
+        steps = drive(controller, 200)
         controller.pause()
-        steps += drive(controller, lambda c, i: None, 300)
+        steps += drive(controller, 300)
         assert steps[-1].status is Status.PAUSED
         assert float(np.abs(steps[-1].velocity).max()) < 1e-6
         stopped = steps[-1].clock
         controller.resume()
-        steps = drive(controller, lambda c, i: None, 300)
+        steps = drive(controller, 300)
         assert steps[-1].status is Status.TRACKING
         assert steps[-1].clock > stopped
 
 
-@pytest.mark.parametrize("kernel", KERNELS)
+@pytest.mark.parametrize("kernel", slow_but_first(KERNELS))
 @pytest.mark.parametrize("acceleration", [np.inf, 5.0])
 @pytest.mark.parametrize("make", [paper_lift, dual_arm7])
 def test_a_target_is_reached_without_a_jump(make: Callable[[], Scenario], acceleration: float, kernel: str) -> None:
@@ -288,10 +261,10 @@ def test_a_target_is_reached_without_a_jump(make: Callable[[], Scenario], accele
     task = limited(make(), acceleration)
     start = task.path.pose(0.0)
     task = dataclasses.replace(task, path=ServoPath(start))
-    controller = built(task, kernel=kernel)
+    controller = built(task, kernel, dt=DT)
     goal = start * pin.exp6(pin.Motion(np.array([0.02, 0.03, 0.04, 0.0, 0.0, 0.1])))
     controller.retarget(goal)
-    steps = drive(controller, lambda c, i: None, 400)
+    steps = drive(controller, 400)
     velocities = np.array([np.zeros(task.cell.nv), *(step.velocity for step in steps)])
     limits, changes = task.cell.limits, np.abs(np.diff(velocities, axis=0))
     allowed = limits.velocity / 8.0 if np.isinf(acceleration) else limits.acceleration * controller.dt
@@ -302,7 +275,7 @@ def test_a_target_is_reached_without_a_jump(make: Callable[[], Scenario], accele
 
 @pytest.mark.parametrize("bad", [-0.1, 1.1, np.nan, np.inf, "half", None, [0.5]])
 def test_a_bad_share_is_a_named_error_and_changes_nothing(bad: Any) -> None:
-    controller = built(paper_lift())
+    controller = built(paper_lift(), dt=DT)
     controller.set_override(0.7)
     with pytest.raises(InvalidInputError, match="set_override"):
         controller.set_override(bad)

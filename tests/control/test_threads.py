@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 import pytest
+from marks import slow_but_first
 
 from coopqp import CoopqpError, ForceController, ObjectPath, QPController
 from coopqp.baselines import IndependentQPController, PseudoInverseController
@@ -98,7 +99,7 @@ def test_the_second_thread_is_refused_before_anything_is_touched(name: str, pape
     assert {type(error) for error in errors} == {BusyError}
 
 
-@pytest.mark.parametrize("kernel", available_kernels())
+@pytest.mark.parametrize("kernel", slow_but_first(available_kernels()))
 @pytest.mark.parametrize("own", [True, False])
 def test_what_an_operator_asks_for_from_another_thread_waits_for_the_next_step(
     kernel: str, own: bool, paper: Scenario

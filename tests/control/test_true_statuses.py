@@ -10,13 +10,14 @@ import numpy as np
 import pinocchio as pin
 import pytest
 from marks import slow_but_first
+from runs import cooperative, limited
+from user_paths import Jumping
 
 from coopqp import (
     InvalidInputError,
     LimitKind,
     LinePath,
     ObjectPath,
-    QPController,
     QPOptions,
     Recording,
     Status,
@@ -28,14 +29,7 @@ from coopqp.scenarios import Scenario, dual_arm7, mixed_cell, paper_lift
 from coopqp.simulation import object_error, tool_placements
 
 KERNELS = available_kernels()
-
-
-def limited(task: Scenario, acceleration: float) -> Scenario:
-    return dataclasses.replace(task, cell=task.cell.with_limits(acceleration=acceleration))
-
-
-def built(task: Scenario, kernel: str = "auto", **options: Any) -> QPController:
-    return QPController(task.cell, task.grasp, task.path, dt=0.005, options=QPOptions(kernel=kernel, **options))
+DT = 0.005
 
 
 def away(path: ObjectPath, distance: float) -> LinePath:
@@ -58,7 +52,7 @@ def test_statuses_keep_their_numbers_and_have_an_order() -> None:
 @pytest.mark.parametrize("acceleration", [np.inf, 5.0])
 def test_a_path_that_starts_away_is_off_path_until_the_object_is_back(kernel: str, acceleration: float) -> None:
     task = limited(paper_lift(), acceleration)
-    controller = built(task, kernel)
+    controller = cooperative(task, kernel, dt=DT)
     controller.reset(task.q_start)
     controller.follow(away(task.path, 0.15))
     controller.pause()
@@ -85,7 +79,7 @@ def test_the_distances_of_off_path_are_options() -> None:
         ({"off_path_distance": 0.2}, Status.TRACKING),
         ({"off_path_distance": 0.1}, Status.OFF_PATH),
     ):
-        controller = built(task, **options)
+        controller = cooperative(task, dt=DT, **options)
         controller.reset(task.q_start)
         controller.follow(away(task.path, 0.15))
         assert controller.step().status is expected
@@ -95,7 +89,7 @@ def test_the_distances_of_off_path_are_options() -> None:
 
 def test_a_turn_is_off_the_path_too() -> None:
     task = paper_lift()
-    controller = built(task)
+    controller = cooperative(task, dt=DT)
     controller.reset(task.q_start)
     start = task.path.pose(0.0)
     turned = pin.SE3(start.rotation @ pin.exp3(np.array([0.0, 0.0, np.deg2rad(2.0)])), start.translation)
@@ -112,7 +106,7 @@ def test_a_turn_is_off_the_path_too() -> None:
 def test_an_odd_start_is_said_until_it_is_mended(kernel: str, size: float) -> None:
     task = paper_lift()
     q = task.cell.moved(task.q_start, size * np.random.default_rng(1).standard_normal(task.cell.nv))
-    controller = built(task, kernel)
+    controller = cooperative(task, kernel, dt=DT)
     with pytest.warns(StartWarning, match="off its grasp"):
         controller.reset(q)
     first = controller.step()
@@ -126,7 +120,7 @@ def test_an_odd_start_is_said_until_it_is_mended(kernel: str, size: float) -> No
 def test_a_sound_start_says_nothing() -> None:
     for make in (paper_lift, mixed_cell, dual_arm7):
         task = make()
-        controller = built(task)
+        controller = cooperative(task, dt=DT)
         with warnings.catch_warnings():
             warnings.simplefilter("error")
             controller.reset(task.q_start)
@@ -138,7 +132,7 @@ def test_a_start_outside_limits_is_warned_of_by_name() -> None:
     upper = task.cell.limits.upper.copy()
     upper[2] = task.cell.positions(task.q_start)[2] - 0.05
     task = dataclasses.replace(task, cell=task.cell.with_limits(upper=upper))
-    controller = built(task)
+    controller = cooperative(task, dt=DT)
     with pytest.warns(StartWarning, match="started outside its limits: joint_3"):
         controller.reset(task.q_start)
     assert "outside" in controller.step().explain()
@@ -151,7 +145,7 @@ def test_a_start_outside_limits_is_warned_of_by_name() -> None:
 @pytest.mark.parametrize("kernel", KERNELS)
 def test_a_reset_in_mid_path_goes_on_there(kernel: str) -> None:
     task = limited(mixed_cell(), 5.0)
-    controller = built(task, kernel)
+    controller = cooperative(task, kernel, dt=DT)
     controller.reset(task.q_start)
     for _ in range(300):
         step = controller.step()
@@ -171,7 +165,7 @@ def test_a_reset_in_mid_path_goes_on_there(kernel: str) -> None:
 def test_the_same_path_followed_again_from_where_it_is_changes_nothing(kernel: str) -> None:
     """Under acceleration limits a rate that starts again at 0 would part the arms."""
     task = limited(dual_arm7(), 5.0)
-    plain, again = built(task, kernel), built(task, kernel)
+    plain, again = cooperative(task, kernel, dt=DT), cooperative(task, kernel, dt=DT)
     for controller in (plain, again):
         controller.reset(task.q_start)
     rng = np.random.default_rng(2)
@@ -187,7 +181,7 @@ def test_the_same_path_followed_again_from_where_it_is_changes_nothing(kernel: s
 @pytest.mark.parametrize("bad", [-1.0, 1e9, np.nan, "now", None])
 def test_a_clock_that_is_not_on_the_path_is_a_named_error_and_changes_nothing(bad: Any) -> None:
     task = paper_lift()
-    controller = built(task)
+    controller = cooperative(task, dt=DT)
     controller.reset(task.q_start)
     step = controller.step()
     for call in (lambda: controller.reset(task.q_start, clock=bad), lambda: controller.follow(task.path, clock=bad)):
@@ -199,29 +193,13 @@ def test_a_clock_that_is_not_on_the_path_is_a_named_error_and_changes_nothing(ba
 # -- stops -------------------------------------------------------------------------------------------------------------
 
 
-class Jumping(ObjectPath):
-    """A user's path that jumps at a clock."""
-
-    def __init__(self, inner: ObjectPath, at: float, size: float) -> None:
-        self._inner, self._at, self._size, self.duration = inner, at, size, inner.duration
-
-    def pose(self, clock: float) -> pin.SE3:
-        pose = self._inner.pose(clock)
-        if clock >= self._at:
-            pose.translation = pose.translation + np.array([self._size, 0.0, 0.0])
-        return pose
-
-    def twist(self, clock: float) -> Any:
-        return self._inner.twist(clock)
-
-
 @pytest.mark.core
 @pytest.mark.parametrize("kernel", slow_but_first(KERNELS))
 @pytest.mark.parametrize("size", [0.1, 5.0])
 def test_a_jump_of_a_users_path_is_named_as_such(kernel: str, size: float) -> None:
     task = limited(paper_lift(), 10.0)
-    task = dataclasses.replace(task, path=Jumping(task.path, 0.6 * task.path.duration, size))
-    controller = built(task, kernel)
+    task = dataclasses.replace(task, path=Jumping(task.path, 0.6 * task.path.duration, np.array([size, 0.0, 0.0])))
+    controller = cooperative(task, kernel, dt=DT)
     controller.reset(task.q_start)
     for _ in range(700):
         step = controller.step()
@@ -239,7 +217,7 @@ class Nervous:
     """A controller whose operator changes the override at every step for a while."""
 
     def __init__(self, task: Scenario) -> None:
-        self._inner = built(task)
+        self._inner = cooperative(task, dt=DT)
         self.cell, self.grasp, self.path, self.dt = task.cell, task.grasp, task.path, 0.005
         self._count = 0
 
@@ -266,7 +244,7 @@ def test_notes_that_go_to_and_fro_are_one() -> None:
 
 def test_a_run_does_not_end_because_of_a_pause() -> None:
     task = paper_lift()
-    controller = built(task)
+    controller = cooperative(task, dt=DT)
     count = 0
 
     def hand(step: Any) -> None:
@@ -284,7 +262,7 @@ def test_a_run_does_not_end_because_of_a_pause() -> None:
 
 def test_a_recording_with_the_new_statuses_is_kept(tmp_path: Any) -> None:
     task = paper_lift()
-    controller = built(task)
+    controller = cooperative(task, dt=DT)
     controller.pause()
     run = simulate(controller, q_start=task.q_start, duration=0.5)
     assert Recording.load(run.save(tmp_path / "run.npz")).statuses == [Status.PAUSED] * run.n_steps

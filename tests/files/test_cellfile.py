@@ -7,6 +7,7 @@ import contextlib
 import dataclasses
 import json
 import re
+import warnings
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -14,9 +15,9 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from hypothesis import given, settings, strategies as st
 from marks import slow_unless
+from places import CELL_FILES
 from ruamel.yaml import YAML
 
 from coopqp import (
@@ -35,17 +36,18 @@ from coopqp.checks import meanings
 from coopqp.cli.demo import run_method
 from coopqp.control import RankWeights
 from coopqp.errors import MissingExtraError, UnknownNameError
-from coopqp.files import CellFileError
+from coopqp.files import CellFileError, RenamedKeyWarning
 from coopqp.files.cellfile import CELLS, example_path, json_schema, schema_text
 from coopqp.files.cellfile.build import CellRun
 from coopqp.files.cellfile.hints import grip_hints
+from coopqp.files.cellfile.renamed import renewed
 from coopqp.files.cellfile.text import read_tables
 from coopqp.scenarios import ROBOTS, Scenario, robot_file, robot_path
-from coopqp.simulation import PhysicsOptions, PhysicsPlant, Tolerances, judge, read_run
+from coopqp.simulation import PhysicsOptions, PhysicsPlant, Tolerances, evaluate, read_run
 
 #: Options of types that a file cannot hold.
 NOT_IN_FILES = {(PostureOptions, "target"), (SupervisionOptions, "stiffness")}
-EXAMPLES = sorted((Path(__file__).parents[2] / "docs" / "examples" / "cells").glob("*.toml"))
+EXAMPLES = sorted(CELL_FILES.glob("*.toml"))
 PAPER = example_path("paper_lift").read_text()
 
 
@@ -107,7 +109,7 @@ def test_the_papers_file_gives_the_figures_of_the_code(
 def test_the_examples_of_the_docs_run_and_hold(file: Path) -> None:
     run = load_cell_file(file)
     recording = run.run()
-    verdict = judge(run.scenario.cell, recording, read_run(run.scenario.cell, recording))
+    verdict = evaluate(run.scenario.cell, recording, read_run(run.scenario.cell, recording))
     assert all(finding.holds for finding in verdict), verdict
 
 
@@ -359,14 +361,14 @@ def test_options_reach_the_controller(load: Callable[[str], CellRun]) -> None:
         _controller(
             'kind = "qp"\nsolver = "proxqp"\nsolver_settings = { max_iter = 50 }\ngrasp_gain = 5\n'
             'preview = false\ncommon_error = { kind = "leaderless" }\n'
-            "supervision = { stall_samples = false, dt_range = [0.5, 2.0] }\nweights = { comfort = 1e-5 }"
+            "supervision = { stall_samples = false, dt_range = [0.5, 2.0] }\nweights = { posture = 1e-5 }"
         )
     ).options
     assert (options.solver, options.solver_settings.max_iter, options.grasp_gain) == ("proxqp", 50, 5)
     assert options.preview is None
     assert options.common_error.kind == "leaderless"
     assert (options.supervision.stall_samples, options.supervision.dt_range) == (None, (0.5, 2.0))
-    assert options.weights.comfort == 1e-5
+    assert options.weights.posture == 1e-5
     assert options.weights.chain == QPOptions().weights.chain
     variants = load(_controller('kind = "pseudo_inverse"\nintegration = "midpoint"\nreset_every = 10')).options
     assert (variants.integration, variants.reset_every) == ("midpoint", 10)
@@ -375,14 +377,44 @@ def test_options_reach_the_controller(load: Callable[[str], CellRun]) -> None:
 @pytest.mark.parametrize(
     "table",
     [
-        '{ kind = "master", master = "a" }',
-        '{ kind = "driver", master = "a", driver = "a" }',
+        '{ kind = "leader", leader = "a" }',
+        '{ kind = "driver", leader = "a", driver = "a" }',
         '{ kind = "per_axis", weights = [[1, 1, 1, 1, 1, 1]] }',
     ],
 )
 def test_common_errors(table: str, load: Callable[[str], CellRun]) -> None:
     options = load(_controller(f'kind = "qp"\ncommon_error = {table}')).options
     np.testing.assert_array_equal(options.common_error.shares(_cell(load)), np.ones((1, 6)))
+
+
+def test_names_of_version_01_are_read_with_one_warning_that_lists_them(load: Callable[[str], CellRun]) -> None:
+    old = 'kind = "qp"\ncommon_error = { kind = "master", master = "a" }\nweights = { comfort = 1e-5 }'
+    with pytest.warns(RenamedKeyWarning) as caught:
+        options = load(_controller(old)).options
+    new = 'kind = "qp"\ncommon_error = { kind = "leader", leader = "a" }\nweights = { posture = 1e-5 }'
+    with warnings.catch_warnings():
+        warnings.simplefilter("error", RenamedKeyWarning)
+        same = load(_controller(new)).options
+    assert same.weights == options.weights
+    assert (options.common_error.kind, options.common_error.arms) == ("leader", ("a",))
+    assert options.weights.posture == 1e-5
+    (message,) = (str(warning.message) for warning in caught if warning.category is RenamedKeyWarning)
+    for text in (
+        "controller.common_error.master is now controller.common_error.leader",
+        "controller.weights.comfort is now controller.weights.posture",
+        'controller.common_error.kind = "master" is now controller.common_error.kind = "leader"',
+    ):
+        assert text in message
+
+
+def test_names_of_version_01_in_a_recording_and_a_key_with_both_names() -> None:
+    old = {"controller": {"kind": "qp", "common_error": {"kind": "driver", "master": "a", "driver": "b"}}}
+    with pytest.warns(RenamedKeyWarning, match="the recording has names of version 0.1"):
+        new = renewed(old, "the recording")
+    assert new["controller"]["common_error"] == {"kind": "driver", "leader": "a", "driver": "b"}
+    assert old["controller"]["common_error"]["master"] == "a"  # what was given stays
+    both = {"controller": {"weights": {"comfort": 1.0, "posture": 2.0}}}
+    assert renewed(both, "a file") == both  # the schema then refuses it
 
 
 def test_the_stiffness_of_servos_is_told_arm_by_arm(load: Callable[[str], CellRun]) -> None:
@@ -531,9 +563,9 @@ ROBOT, BASE, QP = 'robot = "rx90l"', "xyz_m = [3.60, 0.50, 0.0]", 'kind = "qp" #
         (
             QP,
             f'common_error = {{ kind = "driver" }}\n{QP}',
-            "controller.common_error: kind 'driver' takes driver and master",
+            "controller.common_error: kind 'driver' takes driver and leader",
         ),
-        (QP, f'common_error = {{ kind = "master", master = "me" }}\n{QP}', "no arm named 'me'"),
+        (QP, f'common_error = {{ kind = "leader", leader = "me" }}\n{QP}', "no arm named 'me'"),
         ("[output]", "[outptu]", "the file: unknown key 'outptu'; did you mean 'output'?"),
         ('"slave_2"', '"slave_1"', "two arms are named 'slave_1'"),
         ('"slave_2"', '"a/b"', "'a/b' is not a name"),

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 import pytest
+from cells import grasp_at
 
 from coopqp import (
     CoopqpError,
@@ -125,8 +126,7 @@ def test_the_jacobian_is_that_of_finite_differences(
     rng: np.random.Generator,
 ) -> None:
     cell = make_cell(robots)
-    T = CellState(cell, random_q(cell, rng)).T_world_tool
-    grasp = Grasp(tuple(T[0].actInv(X) for X in T))
+    grasp = grasp_at(cell, random_q(cell, rng))
     closure = Closure(cell, grasp, np.array([random_q(cell, rng) for _ in range(3)]), rng.uniform(1e-4, 1e-3, cell.nv))
     x, h = 0.1 * rng.standard_normal(12 * len(cell)), 1e-6
     J = closure.jacobian(x)

@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
+from hypothesis import given, strategies as st
+from marks import slow_but_first
 
 from coopqp import (
     Cause,
@@ -498,7 +498,7 @@ def test_a_controller_of_a_user_gets_wrenches_if_it_says_so(task: Scenario) -> N
     """What wraps a controller is asked as the one within."""
 
     class Wrapped:
-        minds_wrenches = True
+        needs_wrenches = True
 
         def __init__(self, inner: ForceController) -> None:
             self.cell, self.grasp, self.path, self.dt = inner.cell, inner.grasp, inner.path, inner.dt
@@ -719,7 +719,7 @@ class Pushed:
         return out
 
 
-@pytest.mark.parametrize("kernel", available_kernels())
+@pytest.mark.parametrize("kernel", slow_but_first(available_kernels()))
 @pytest.mark.parametrize("way", [(0.0, 0.0, 1.0), (-0.6, 0.0, 0.8)])
 def test_a_push_on_the_object_holds_it_with_the_direction(kernel: str, way: Any, task: Scenario) -> None:
     """Also an object of another mass than told. It goes back, and rests until it is told to go on."""

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 import pytest
+from cells import box_of
 from scipy.optimize import linprog, minimize
 
 from coopqp import Grasp, InvalidInputError, LimitKind, RobotCell, simulate
@@ -22,13 +23,6 @@ from coopqp.spatial import Array
 
 ROBOTS = ("rx90l", "arm6c", "arm7", "gantry7")
 LENGTH = 0.3
-
-
-def box(scenario: Scenario, mass: float, **limits: Any) -> Payload:
-    """The scenario's object as a homogeneous box."""
-    x, y, z = scenario.object_size
-    inertia = mass / 12.0 * np.diag([y * y + z * z, x * x + z * z, x * x + y * y])
-    return Payload(mass=mass, centre=scenario.T_object_body.translation, inertia=inertia, **limits)
 
 
 @dataclass(frozen=True)
@@ -203,7 +197,7 @@ def palms(**more: Any) -> list[Grip]:
 
 def test_points_with_friction_squeeze_as_much_as_coulomb_asks(paper: Scenario) -> None:
     """The master carries half of 20 kg by friction alone: 98.1 N / 0.6. No less holds it, and nothing asks for more."""
-    load = LoadShare(paper.cell, paper.grasp, box(paper, 20.0), internal_force=1e3, grips=palms())
+    load = LoadShare(paper.cell, paper.grasp, box_of(paper, 20.0), internal_force=1e3, grips=palms())
     shared = load.share(paper.q_start)
     assert shared.feasible
     w = shared.wrenches
@@ -211,7 +205,7 @@ def test_points_with_friction_squeeze_as_much_as_coulomb_asks(paper: Scenario) -
     np.testing.assert_allclose(w[1:, 1], -0.5 * w[0, 1], rtol=1e-6)
     assert shared.grip_use == pytest.approx(1.0, abs=1e-6)
     assert {b.kind for b in shared.binding} == {LimitKind.FRICTION}
-    less = LoadShare(paper.cell, paper.grasp, box(paper, 20.0), internal_force=0.9 * w[0, 1], grips=palms())
+    less = LoadShare(paper.cell, paper.grasp, box_of(paper, 20.0), internal_force=0.9 * w[0, 1], grips=palms())
     lost = less.share(paper.q_start)
     assert lost.share == pytest.approx(0.9, abs=1e-5)
     assert {b.kind for b in lost.binding} >= {LimitKind.FRICTION, LimitKind.INTERNAL_FORCE}
@@ -220,7 +214,7 @@ def test_points_with_friction_squeeze_as_much_as_coulomb_asks(paper: Scenario) -
 def test_forces_under_cones_are_those_of_a_general_optimiser(paper: Scenario, rng: np.random.Generator) -> None:
     """SLSQP on the cones themselves, with the wrenches as unknowns, finds no smaller ones."""
     grips = [Grip(kind="palm", friction=0.5, radius=0.08, squeeze=120.0), Grip(force=90.0), Grip(kind="torque-free")]
-    load = LoadShare(paper.cell, paper.grasp, box(paper, 20.0, torque=np.inf), internal_force=200.0, grips=grips)
+    load = LoadShare(paper.cell, paper.grasp, box_of(paper, 20.0, torque=np.inf), internal_force=200.0, grips=grips)
     for _ in range(3):
         a = rng.uniform(-2.0, 2.0, 6)
         shared = load.share(paper.q_start, acceleration=a)
@@ -259,20 +253,20 @@ def test_forces_under_cones_are_those_of_a_general_optimiser(paper: Scenario, rn
 
 def test_a_torque_free_grip_exerts_none(paper: Scenario) -> None:
     grips = [Grip(), Grip(kind="torque-free"), Grip(kind="torque-free")]
-    load = LoadShare(paper.cell, paper.grasp, box(paper, 20.0), internal_force=50.0, grips=grips)
+    load = LoadShare(paper.cell, paper.grasp, box_of(paper, 20.0), internal_force=50.0, grips=grips)
     shared = load.share(paper.q_start, acceleration=[0.1, 0.2, 0.3, 0.4, 0.5, 0.6])
     for X, w in zip(paper.grasp.T_object_tool[1:], shared.wrenches[1:], strict=True):
         np.testing.assert_allclose((X.action.T @ w)[3:], 0.0, atol=1e-9)
     pair = RobotCell(paper.cell.arms[:2])
     held = Grasp(paper.grasp.T_object_tool[:2])
-    points = LoadShare(pair, held, box(paper, 20.0), internal_force=50.0, grips=[Grip(kind="torque-free")] * 2)
+    points = LoadShare(pair, held, box_of(paper, 20.0), internal_force=50.0, grips=[Grip(kind="torque-free")] * 2)
     with pytest.raises(UnreachableError, match="cannot transmit the wrench"):
         points.share(paper.q_start[:12], acceleration=[0, 0, 0, 1, 1, 1])
 
 
 def test_weights_move_the_load_and_nothing_else(paper: Scenario) -> None:
     even, uneven = (
-        LoadShare(paper.cell, paper.grasp, box(paper, 20.0), internal_force=1e6, weights=w).share(paper.q_start)
+        LoadShare(paper.cell, paper.grasp, box_of(paper, 20.0), internal_force=1e6, weights=w).share(paper.q_start)
         for w in (None, [1.0, 100.0, 1.0])
     )
     assert uneven.wrenches[1, 2] > even.wrenches[1, 2] + 20.0
@@ -283,7 +277,7 @@ def test_the_load_is_linear_in_mass_and_does_not_depend_on_where_the_cell_stands
     turn = pin.SE3(pin.utils.rotate("z", 0.7), np.array([5.0, -3.0, 0.0]))  # about gravity
     moved = RobotCell([arm.placed(turn * arm.T_world_base) for arm in paper.cell.arms])
     one, two, elsewhere = (
-        LoadShare(cell, paper.grasp, box(paper, mass), internal_force=50.0).share(
+        LoadShare(cell, paper.grasp, box_of(paper, mass), internal_force=50.0).share(
             paper.q_start, twist=[0, 0, 0.1, 0, 0, 1]
         )
         for cell, mass in ((paper.cell, 10.0), (paper.cell, 20.0), (moved, 10.0))
@@ -301,7 +295,7 @@ def test_53_kg_are_lifted_within_50_n_of_internal_force_and_not_by_equal_shares(
     time = np.linspace(0.0, 6.0, 31)
     motion = exact_motion(lift.cell, lift.grasp, lift.path, lift.q_start)
     q = np.array([motion(t) for t in time])
-    load = LoadShare(lift.cell, lift.grasp, box(lift, 53.0), internal_force=50.0)
+    load = LoadShare(lift.cell, lift.grasp, box_of(lift, 53.0), internal_force=50.0)
     use = load_use(load, time, q)
     assert use.feasible
     assert use.joint.max() <= 1.0 + 1e-9
@@ -324,7 +318,7 @@ def test_a_load_that_is_too_heavy_is_said_when_and_why() -> None:
     lift = paper_lift(time_law="quintic", duration=6.0)
     time = np.linspace(0.0, 6.0, 4)
     motion = exact_motion(lift.cell, lift.grasp, lift.path, lift.q_start)
-    load = LoadShare(lift.cell, lift.grasp, box(lift, 90.0), internal_force=50.0)
+    load = LoadShare(lift.cell, lift.grasp, box_of(lift, 90.0), internal_force=50.0)
     use = load_use(load, time, np.array([motion(t) for t in time]))
     assert not use.feasible
     assert "0.00 s on (arm" in use.figures()["too heavy from"]
@@ -337,7 +331,7 @@ def test_a_load_that_is_too_heavy_is_said_when_and_why() -> None:
 @pytest.mark.slow
 def test_the_engine_exerts_the_wrenches_that_are_fed_forward() -> None:
     lift = paper_lift(time_law="quintic", duration=1.2)
-    load = LoadShare(lift.cell, lift.grasp, box(lift, 20.0), internal_force=50.0)
+    load = LoadShare(lift.cell, lift.grasp, box_of(lift, 20.0), internal_force=50.0)
     motion, off = exact_motion(lift.cell, lift.grasp, lift.path, lift.q_start), []
     for shared in (None, load):
         plant, wrenches = PhysicsPlant.of(lift, load=shared), []
@@ -374,7 +368,7 @@ def test_bad_grips(settings: dict[str, Any], error: type[Exception], said: str) 
 
 
 def test_bad_settings_of_load_sharing(paper: Scenario) -> None:
-    args: Any = (paper.cell, paper.grasp, box(paper, 20.0))
+    args: Any = (paper.cell, paper.grasp, box_of(paper, 20.0))
     with pytest.raises(TypeError, match="internal_force"):
         LoadShare(*args)  # the cap is mandatory
     for settings, said in (
@@ -393,7 +387,7 @@ def test_bad_settings_of_load_sharing(paper: Scenario) -> None:
         load.share(paper.q_start, twist=[1, 2])
     with pytest.raises(InvalidInputError, match="three samples"):
         load_use(load, [0.0, 1.0], [paper.q_start] * 2)
-    weak = LoadShare(*args[:2], box(paper, 20.0, torque=5.0), internal_force=50.0)
+    weak = LoadShare(*args[:2], box_of(paper, 20.0, torque=5.0), internal_force=50.0)
     with pytest.raises(UnreachableError, match="for the arm alone"):
         weak.share(paper.q_start)
     tight = LoadShare(*args, internal_force=50.0, grips=palms(squeeze=500.0))

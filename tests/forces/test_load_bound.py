@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from cells import box_of
 
 from coopqp import (
     InvalidInputError,
@@ -22,19 +23,13 @@ from coopqp import (
 from coopqp.errors import UnreachableError
 from coopqp.forces import Grip, LoadBound, LoadShare, load_use
 from coopqp.model import CellState
-from coopqp.planning import Payload, time_path
+from coopqp.planning import time_path
 from coopqp.scenarios import Scenario
 from coopqp.spatial import Array
 
 
-def box(scenario: Scenario, mass: float) -> Payload:
-    x, y, z = scenario.object_size
-    inertia = mass / 12.0 * np.diag([y * y + z * z, x * x + z * z, x * x + y * y])
-    return Payload(mass=mass, centre=scenario.T_object_body.translation, inertia=inertia)
-
-
 def heavy(paper: Scenario, mass: float, **settings: Any) -> LoadShare:
-    return LoadShare(paper.cell, paper.grasp, box(paper, mass), **{"internal_force": 50.0, **settings})
+    return LoadShare(paper.cell, paper.grasp, box_of(paper, mass), **{"internal_force": 50.0, **settings})
 
 
 def knot_of(paper: Scenario, load: LoadShare, rng: np.random.Generator) -> Knot:
@@ -162,7 +157,7 @@ def test_the_fastest_lifts_of_the_paper_s_cell(paper: Scenario) -> None:
     """By torque limits alone, 50 N of internal force: slower with each kilogram, and admissible all the way."""
     cell, durations = paper.cell.with_limits(velocity=1e3, acceleration=1e4), []
     for mass in (20.0, 40.0, 48.0, 53.0):
-        load = LoadShare(cell, paper.grasp, box(paper, mass), internal_force=50.0)
+        load = LoadShare(cell, paper.grasp, box_of(paper, mass), internal_force=50.0)
         path = time_path(
             cell, paper.grasp, paper.path, q_start=paper.q_start, bounds=[LoadBound(load)], share=1.0, knots=60
         )
@@ -174,8 +169,8 @@ def test_the_fastest_lifts_of_the_paper_s_cell(paper: Scenario) -> None:
         assert use.joint[2:-2].max() > 0.98
     np.testing.assert_allclose(durations, [0.325, 0.460, 0.571, 0.688], rtol=0.02)
     with pytest.raises(UnreachableError, match=r"to hold its share|cannot rest"):
-        time_path(cell, paper.grasp, paper.path, q_start=paper.q_start, payload=box(paper, 53.0), knots=60)
-    heaviest = LoadBound(LoadShare(cell, paper.grasp, box(paper, 90.0), internal_force=50.0))
+        time_path(cell, paper.grasp, paper.path, q_start=paper.q_start, payload=box_of(paper, 53.0), knots=60)
+    heaviest = LoadBound(LoadShare(cell, paper.grasp, box_of(paper, 90.0), internal_force=50.0))
     with pytest.raises(UnreachableError, match="load: the object cannot rest 0 m along the path"):
         time_path(cell, paper.grasp, paper.path, q_start=paper.q_start, bounds=[heaviest], knots=60)
 
@@ -183,7 +178,7 @@ def test_the_fastest_lifts_of_the_paper_s_cell(paper: Scenario) -> None:
 @pytest.mark.slow
 def test_a_bound_is_one_limit_among_others(paper: Scenario) -> None:
     cell = paper.cell.with_limits(acceleration=20.0)
-    load = LoadShare(cell, paper.grasp, box(paper, 45.0), internal_force=50.0)
+    load = LoadShare(cell, paper.grasp, box_of(paper, 45.0), internal_force=50.0)
     common: Any = {"q_start": paper.q_start, "knots": 60}
     free = plan(cell, paper.grasp, paper.path, **common)
     bound = plan(cell, paper.grasp, paper.path, bounds=[LoadBound(load)], **common)

@@ -7,6 +7,7 @@ from collections.abc import Callable
 import numpy as np
 import pinocchio as pin
 import pytest
+from cells import grasp_at
 
 import coopqp.forces.stress
 from coopqp import Grasp, InvalidInputError, RobotCell
@@ -18,12 +19,6 @@ from coopqp.spatial import Array
 
 #: Cells of arms with 6, 7, and fewer joints.
 ROBOTS = [("rx90l", "rx90l", "rx90l"), ("arm7", "rx90l"), ("arm7", "arm6c", "gantry7"), ("rx90l", "arm5", "scara4")]
-
-
-def held(cell: RobotCell, q: Array) -> Grasp:
-    """A grasp that fits the configuration: the object frame is the first tool's."""
-    T = CellState(cell, q).T_world_tool
-    return Grasp(tuple(T[0].actInv(X) for X in T))
 
 
 def least_energy(model: StressModel, q: Array, R: pin.SE3) -> Array:
@@ -55,7 +50,7 @@ def test_the_object_settles_where_the_elastic_energy_is_least(
     cell = make_cell(robots)
     for _ in range(20):
         q = random_q(cell, rng)
-        model = StressModel(cell, held(cell, q), stiffness=rng.uniform(5e3, 1e5, cell.nv))
+        model = StressModel(cell, grasp_at(cell, q), stiffness=rng.uniform(5e3, 1e5, cell.nv))
         q_command = pin.integrate(cell.model, q, rng.uniform(-1e-3, 1e-3, cell.nv))
         stress = model.estimate(q_command)
         R = model.grasp.carried(CellState(cell, q_command))[0]
@@ -89,7 +84,7 @@ def test_arms_with_few_joints_take_the_least_wrench_that_holds_the_balance(
 ) -> None:
     cell = make_cell(ROBOTS[3])
     q = random_q(cell, rng)
-    model = StressModel(cell, held(cell, q), stiffness=2e4)
+    model = StressModel(cell, grasp_at(cell, q), stiffness=2e4)
     stress = model.estimate(pin.integrate(cell.model, q, rng.uniform(-1e-3, 1e-3, cell.nv)))
     scale = np.abs(stress.wrenches).max()
     assert scale > 1.0
@@ -135,7 +130,7 @@ def test_servo_deflection_shows_the_wrenches_that_cause_it(
     cell = make_cell(robots)
     for _ in range(10):
         q = random_q(cell, rng)
-        grasp, state = held(cell, q), CellState(cell, q)
+        grasp, state = grasp_at(cell, q), CellState(cell, q)
         model = StressModel(cell, grasp, stiffness=rng.uniform(5e3, 1e5, cell.nv))
         wrenches = rng.uniform(-50.0, 50.0, (len(cell), 6))
         torque = np.concatenate([state.jacobian(k).T @ w for k, w in enumerate(at_tools(wrenches, grasp))])
@@ -156,7 +151,7 @@ def test_the_watch_reads_the_forces_that_bend_the_servos(
     q, v = random_q(cell, rng), rng.uniform(-0.5, 0.5, cell.nv)
     while CellState(cell, q).sigma_min.min() < 0.1:  # near a singularity the servos feel little of a force
         q = random_q(cell, rng)
-    stiffness, grasp = rng.uniform(5e4, 1e5, cell.nv), held(cell, q)
+    stiffness, grasp = rng.uniform(5e4, 1e5, cell.nv), grasp_at(cell, q)
     watch = StressWatch(cell, grasp, stiffness=stiffness, delay=0.005, filter_time=0.0)
     wrenches = rng.uniform(-1.0, 1.0, (len(cell), 6)) * [20.0, 20.0, 20.0, 2.0, 2.0, 2.0]
     for i in range(3):

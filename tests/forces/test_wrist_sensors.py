@@ -10,6 +10,8 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 import pytest
+from marks import slow_but_first
+from places import CELL_FILES
 
 from coopqp import InvalidInputError, load_cell_file
 from coopqp.cli.main import main
@@ -110,7 +112,7 @@ def test_damping_makes_no_arm_stiffer(lead: float) -> None:
 
 
 @pytest.mark.parametrize("arm", range(3))
-@pytest.mark.parametrize("factor", [0.3, 3.0])
+@pytest.mark.parametrize("factor", slow_but_first([0.3, 3.0]))
 def test_an_arm_that_is_softer_than_told_is_no_wrong_sensor(arm: int, factor: float) -> None:
     """It was: "its torques are 0.41 times the real ones"."""
     stiffer = tuple(factor if k == arm else 1.0 for k in range(3))
@@ -184,7 +186,7 @@ def test_the_command_writes_what_it_finds_and_is_then_content(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     pytest.importorskip("mujoco")
-    text = (Path(__file__).parents[2] / "docs" / "examples" / "cells" / "lift_in_engine.toml").read_text()
+    text = (CELL_FILES / "lift_in_engine.toml").read_text()
     file, out, figures = tmp_path / "cell.toml", tmp_path / "better.toml", tmp_path / "figures.json"
     file.write_text(text + REAL)
     assert main(["sensors", str(file), "--out", str(out), "--json", str(figures)]) == 4

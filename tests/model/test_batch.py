@@ -7,8 +7,7 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
+from hypothesis import given, strategies as st
 
 from coopqp import Arm, InvalidInputError, RobotCell, scenarios
 from coopqp.errors import UnknownNameError

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 import pytest
+from cells import rx90l
 
 from coopqp import Arm, Grasp, RobotCell, inverse_kinematics
 from coopqp.errors import UnreachableError
@@ -17,10 +18,6 @@ from coopqp.model.branches import all_turns, find_branches, turns_inside
 from coopqp.scenarios import Scenario, robot_path
 
 UPPER_ARM, FOREARM, SHOULDER, WRIST = 0.450, 0.650, 0.420, 0.085
-
-
-def rx90l(**options: Any) -> Arm:
-    return Arm.from_urdf("arm", robot_path("rx90l"), tool_frame="flange", geometry=False, **options)
 
 
 def rot(axis: str, angle: float) -> Any:
@@ -50,7 +47,7 @@ def closed_form(T: Any) -> list[Any]:
 
 
 def test_the_closed_form_is_right(rng: Any) -> None:
-    kinematics = ArmKinematics(rx90l())
+    kinematics = ArmKinematics(rx90l(geometry=False))
     for T in kinematics.tool_poses(rng.uniform(-3.0, 3.0, (50, 6))):
         solutions = closed_form(T)
         assert len(solutions) == 8
@@ -60,7 +57,7 @@ def test_the_closed_form_is_right(rng: Any) -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("kernel", batch_kernels())
 def test_all_branches_of_the_rx90l_and_no_other_solution(kernel: Any, rng: Any) -> None:
-    kinematics = ArmKinematics(rx90l(), kernel=kernel)
+    kinematics = ArmKinematics(rx90l(geometry=False), kernel=kernel)
     poses = kinematics.tool_poses(rng.uniform(-3.0, 3.0, (200 if kernel == "compiled" else 20, 6)))
     for T in poses:
         branches, expected = find_branches(kinematics, T), closed_form(T)
@@ -73,13 +70,13 @@ def test_all_branches_of_the_rx90l_and_no_other_solution(kernel: Any, rng: Any) 
 
 def test_out_of_reach_there_are_none_and_the_rest_is_said() -> None:
     far = pin.SE3(np.eye(3), np.array([3.0, 0.0, 0.42]))
-    branches = find_branches(ArmKinematics(rx90l()), far)
+    branches = find_branches(ArmKinematics(rx90l(geometry=False)), far)
     assert len(branches) == 0
     assert 0.1 < branches.closest < 3.0
 
 
 def test_the_one_furthest_inside_comes_first(rng: Any) -> None:
-    kinematics = ArmKinematics(rx90l())
+    kinematics = ArmKinematics(rx90l(geometry=False))
     for T in kinematics.tool_poses(kinematics.seeds(20, rng)):
         branches = find_branches(kinematics, T)
         least = branches.margins.min(axis=1)
@@ -90,7 +87,7 @@ def test_the_one_furthest_inside_comes_first(rng: Any) -> None:
 
 def test_whole_turns_are_all_listed(rng: Any) -> None:
     """Against counting: joints 4 and 6 span ±270°, so an angle has one or two turns in them."""
-    kinematics = ArmKinematics(rx90l())
+    kinematics = ArmKinematics(rx90l(geometry=False))
     low, high = kinematics.lower, kinematics.upper
     for q in rng.uniform(low, high, (100, 6)):
         turned = [[x + 2.0 * np.pi * k for k in range(-3, 4)] for x in q]
@@ -101,7 +98,7 @@ def test_whole_turns_are_all_listed(rng: Any) -> None:
 
 
 def test_a_motion_needs_room_for_all_of_it() -> None:
-    kinematics = ArmKinematics(rx90l())
+    kinematics = ArmKinematics(rx90l(geometry=False))
     low, high = np.zeros(6), np.zeros(6)
     low[3], high[3] = -1.0, 3.0  # joint 4 spans ±270°
     assert turns_inside(kinematics, low, high)[3] == (0,)

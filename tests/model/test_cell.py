@@ -13,8 +13,8 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
+from cells import rx90l
+from hypothesis import given, strategies as st
 from numpy.typing import NDArray
 
 import coopqp.model.arm
@@ -82,10 +82,6 @@ def mjcf(tmp_path: Path) -> Path:
     file = tmp_path / "small.xml"
     file.write_text(ARM_MJCF)
     return file
-
-
-def rx90l(name: str = "arm", **options: Any) -> Arm:
-    return Arm.from_urdf(name, robot_path("rx90l"), tool_frame="flange", **options)
 
 
 def tool_alone(arm: Arm, q: Array) -> pin.SE3:

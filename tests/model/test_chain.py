@@ -9,8 +9,7 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from hypothesis import given, settings, strategies as st
 from numpy.typing import NDArray
 
 from coopqp import Arm, Grasp, RobotCell
@@ -171,7 +170,7 @@ def test_an_edge_is_where_the_least_singular_value_is_headed_for_zero(setting: t
         return chain.dense()[6 * k : 6 * k + 6, arm]
 
     chain.linearise(q, ABOUT)
-    edges = chain.edges()
+    edges = chain.to_reach_end()
     for k, arm in enumerate(chain.cell.v_slices):
         if arm.stop - arm.start < 6:
             assert edges[arm].min() >= 1e3  # its reach is judged otherwise

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 import pytest
+from marks import slow_but_first
 
 from coopqp import Arm, InvalidInputError, RobotCell
 from coopqp.cli.main import main
@@ -144,7 +145,7 @@ duration_s = 0.2
 """
 
 
-@pytest.mark.parametrize("command", [["check"], ["plan", "--out", "made"], ["run"]])
+@pytest.mark.parametrize("command", slow_but_first([["check"], ["plan", "--out", "made"], ["run"]]))
 def test_every_command_refuses_a_torso_with_two_commands(
     command: list[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

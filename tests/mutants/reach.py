@@ -1,4 +1,7 @@
-"""Which tests look at a line: measured once, kept in a file, and asked for each mutant.
+"""Which tests look at a line: found by package, measured once, kept in a file, and asked for each mutant.
+
+The tests of a package stand in the folder of its name. Behind them, in a second line, are those of the packages that
+import it, and the catalogue's.
 
 The map is measured by coverage.py, file by file. A line outside of functions, which an import executes, is no test's
 own; there, and after a line's own tests, come those that spend the largest part of their lines on its module.
@@ -9,14 +12,27 @@ from __future__ import annotations
 import ast
 import json
 from collections import Counter, defaultdict
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from mutants.copies import Copy
+import count
 
-#: Tests of a line that are kept, quick ones and those marked slow.
+from mutants.copies import ROOT, Copy
+
+#: Tests of a line that are kept in each folder, quick ones and those marked slow.
 _KEPT = 60
+
+
+def folders_of(package: str, root: Path = ROOT) -> tuple[list[str], list[str]]:
+    """Folders with the tests of a package, and those of its second line, both relative to the root."""
+    importing = {
+        name.split(".")[1]
+        for name, imported in count.imports(root).items()
+        if any(one.startswith(f"coopqp.{package}.") or one == f"coopqp.{package}" for one in imported)
+    }
+    second = [*sorted(importing - {package}), "reliability"]
+    return [f"tests/{package}/"], [f"tests/{name}/" for name in second if (root / "tests" / name).is_dir()]
 
 
 @dataclass
@@ -79,22 +95,36 @@ class Reach:
             for line, tests in reached[module].items():
                 text = texts[int(line) - 1].strip()
                 those = {*known.get(text, ()), *(t for t in tests if t in cost)}
-                known[text] = sorted(those, key=lambda t: costs.get(t, 1e9))[:_KEPT]
-            those = {*self.modules.get(module, ()), *cost}
-            self.modules[module] = sorted(those, key=lambda t: costs.get(t, 1e9))[:_KEPT]
+                known[text] = _best(those, costs)
+            self.modules[module] = _best({*self.modules.get(module, ()), *cost}, costs)
 
-    def tests(self, module: str, line: str, seconds: float) -> list[str]:
-        """Tests for a line of a function, or "" for others, the best first, that take some seconds; three at least."""
+    def tests(self, module: str, line: str, seconds: float, folders: Iterable[str] = ("",)) -> list[str]:
+        """Tests in some folders for a line of a function, or "" for others, the best first; they take ``seconds``, but
+        are three at least.
+        """
         own = self.lines.get(module, {}).get(line.strip(), []) if line else []
         chosen: list[str] = []
         spent = 0.0
         for name in dict.fromkeys([*own, *self.modules.get(module, ())]):
+            if not name.startswith(tuple(folders)):
+                continue
             took = self.took.get(name, 60.0)
             if len(chosen) >= 3 and spent + took > seconds:
                 continue
             chosen.append(name)
             spent += took
         return chosen
+
+
+def _best(tests: Iterable[str], costs: Mapping[str, float]) -> list[str]:
+    """Those that cost least, of each folder as many as are kept."""
+    found, of_folder = [], Counter[str]()
+    for name in sorted(tests, key=lambda name: costs.get(name, 1e9)):
+        folder = name.partition("::")[0].rpartition("/")[0]
+        of_folder[folder] += 1
+        if of_folder[folder] <= _KEPT:
+            found.append(name)
+    return found
 
 
 def in_functions(source: str) -> set[int]:

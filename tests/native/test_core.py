@@ -15,6 +15,7 @@ import numpy as np
 import pinocchio as pin
 import pytest
 from marks import slow_but_first
+from runs import limited
 
 from coopqp import (
     ControlStep,
@@ -78,10 +79,6 @@ def core_of(loop: Any) -> Any:
 def proposal(loop: Any, name: str) -> float:
     value: float = getattr(layout.views(loop.at)["proposal"], name.lower())
     return value
-
-
-def limited(task: Scenario, **limits: Any) -> Scenario:
-    return dataclasses.replace(task, cell=task.cell.with_limits(**limits))
 
 
 # -- two arithmetics ---------------------------------------------------------------------------------------------------

@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import subprocess
-import sys
 from importlib import metadata
 
 import pytest
 from marks import slow_but_first
+from processes import output
 
 from coopqp.native import MODULE, available_kernels
 
@@ -56,12 +55,6 @@ VERSION = "import sys; from coopqp.cli.main import main; sys.exit(main(['--versi
 built = pytest.mark.skipif(len(available_kernels()) < 2, reason="there is no compiler here")
 
 
-def ran(program: str) -> str:
-    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, timeout=120, check=False)
-    assert done.returncode == 0, done.stderr
-    return done.stdout
-
-
 def test_the_kernel_that_was_built_is_the_one_that_runs() -> None:
     """A module that was built and cannot be imported would leave its tests out, and nothing else would fail."""
     wheel = metadata.distribution("coopqp").read_text("WHEEL")
@@ -74,5 +67,5 @@ def test_the_kernel_that_was_built_is_the_one_that_runs() -> None:
 @built
 @pytest.mark.parametrize("use", slow_but_first(("step", "kinematics", "distances")))
 def test_a_missing_module_is_warned_of_once_and_named_by_the_command(use: str) -> None:
-    said = ran(WITHOUT + WARNED.format(use=use) + VERSION)
+    said = output("-c", WITHOUT + WARNED.format(use=use) + VERSION)
     assert "kernel: plain (it was not built: there was no C++ compiler, or it failed)" in said

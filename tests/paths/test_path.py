@@ -8,8 +8,7 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
+from hypothesis import given, strategies as st
 from numpy.typing import NDArray
 
 from coopqp import HoldPath, InvalidInputError, LinePath, ObjectPath, ServoPath, WaypointPath
@@ -328,10 +327,10 @@ def test_the_twist_of_a_servo_path_is_the_change_of_its_pose(
 
 
 def test_a_servo_path_changes_its_motion_as_slowly_as_it_is_told() -> None:
-    """With an effort of 2 s per m/s a change by 0.25 m/s takes half a second; the way ends at rest."""
-    path, effort = ServoPath(np.eye(4), speed=0.25), np.diag([2.0, 2.0, 2.0, 1.0, 1.0, 1.0])
+    """With ramp times of 2 s per m/s a change by 0.25 m/s takes half a second; the way ends at rest."""
+    path, ramp_times = ServoPath(np.eye(4), speed=0.25), np.diag([2.0, 2.0, 2.0, 1.0, 1.0, 1.0])
     path.set_target(pin.SE3(np.eye(3), np.array([5.0, 0.0, 0.0])), clock=0.0)
-    path.set_target(pin.SE3(np.eye(3), np.array([0.0, 5.0, 0.0])), clock=1.0, effort=effort)
+    path.set_target(pin.SE3(np.eye(3), np.array([0.0, 5.0, 0.0])), clock=1.0, ramp_times=ramp_times)
     clocks = np.linspace(1.0, path.next_breakpoint(1.0) - 1e-9, 4001)
     velocities = np.array([path.twist(t)[:3] for t in clocks])  # the frame does not turn
     close(velocities[0], np.array([0.25, 0.0, 0.0]), 1e-12)
@@ -346,8 +345,8 @@ def test_a_bad_rate_or_effort_of_a_target_leaves_the_old_one(bad: Any) -> None:
     path = ServoPath(np.eye(4))
     with pytest.raises(InvalidInputError, match=r"set_target: rate"):
         path.set_target(np.eye(4), clock=0.0, rate=bad)
-    with pytest.raises(InvalidInputError, match=r"set_target: effort"):
-        path.set_target(pin.SE3.Random(), clock=0.0, effort=np.full((3, 6), np.nan))
+    with pytest.raises(InvalidInputError, match=r"set_target: ramp_times"):
+        path.set_target(pin.SE3.Random(), clock=0.0, ramp_times=np.full((3, 6), np.nan))
     close(path.target, np.eye(4), 0.0)
 
 

@@ -13,7 +13,7 @@ import pinocchio as pin
 import pytest
 from scipy.interpolate import make_interp_spline
 from scipy.linalg.lapack import dgesv
-from wrapped import Opaque
+from user_paths import Opaque
 
 from coopqp import (
     Arm,
@@ -427,7 +427,7 @@ def test_a_start_that_does_not_hold_the_object_is_refused(paper: Scenario) -> No
         InvalidInputError, match=r"q_start: arm 'slave_1' is \d+\.\d mm and 1\.\d+° away from its grasp"
     ):
         check_path(paper.cell, paper.grasp, paper.path, q_start=q)
-    for arguments in ({"q_start": q[:3]}, {"effort": 0}, {"path": 3}, {"grasp": Grasp((np.eye(4),))}):
+    for arguments in ({"q_start": q[:3]}, {"seed_factor": 0}, {"path": 3}, {"grasp": Grasp((np.eye(4),))}):
         with pytest.raises(InvalidInputError):
             check_path(**{"cell": paper.cell, "grasp": paper.grasp, "path": paper.path, **arguments})
 

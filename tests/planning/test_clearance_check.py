@@ -11,7 +11,8 @@ import numpy as np
 import pinocchio as pin
 import pytest
 from marks import slow_unless
-from wrapped import Opaque
+from places import BAR
+from user_paths import Opaque
 
 from coopqp import (
     Clearance,
@@ -29,7 +30,7 @@ from coopqp.model import CellState
 from coopqp.model.chain import Chain
 from coopqp.model.inverse_kinematics import newton
 from coopqp.planning import PathCheck, PathVerdict, find_remedies
-from coopqp.planning.joint_trajectories import CellWay
+from coopqp.planning.joint_trajectories import CellTrajectory
 from coopqp.planning.segments import segments_of
 from coopqp.scenarios import (
     Scenario,
@@ -126,8 +127,8 @@ def test_a_ball_that_is_passed_between_samples_is_seen(share: float) -> None:
     clear = answer(near - 0.1 - 5e-4)
     assert clear.clearance is not None
     assert clear.clearance.verdict is CERTIFIED
-    ways = [arm.chosen.way for arm in clear.arms if arm.chosen is not None]
-    way = CellWay(task.cell, task.path, segments_of(task.path), ways, task.cell.positions(task.q_start))
+    ways = [arm.chosen.trajectory for arm in clear.arms if arm.chosen is not None]
+    way = CellTrajectory(task.cell, task.path, segments_of(task.path), ways, task.cell.positions(task.q_start))
     samples = [task.path.pose(float(t)).translation for t in way.clocks(way.places)]
     at_samples = min(float(np.linalg.norm(p - ball.placement.translation)) for p in samples) - 0.1
     margin = 0.5 * (at_samples + near - 0.1)
@@ -165,14 +166,14 @@ def test_the_check_names_pair_and_place_at_which_the_controller_stops(task: Scen
 def test_beyond_the_end_of_an_arms_way_nothing_is_proved() -> None:
     task = paper_lift()
     found = check_path(task.cell, task.grasp, task.path, q_start=task.q_start)
-    ways = [arm.chosen.way for arm in found.arms if arm.chosen is not None]
+    ways = [arm.chosen.trajectory for arm in found.arms if arm.chosen is not None]
     segments, rest = segments_of(task.path), task.cell.positions(task.q_start)
     scene = CollisionScene.of(task, margin=0.005)
-    whole = scene.along(CellWay(task.cell, task.path, segments, ways, rest))
+    whole = scene.along(CellTrajectory(task.cell, task.path, segments, ways, rest))
     assert whole.verdict is CERTIFIED
     half = len(ways[1].q) // 2
     ways[1] = replace(ways[1], places=ways[1].places[: half + 1], q=ways[1].q[: half + 1], rates=ways[1].rates[:half])
-    part = CellWay(task.cell, task.path, segments, ways, rest)
+    part = CellTrajectory(task.cell, task.path, segments, ways, rest)
     ended = scene.along(part)
     assert ended.verdict is UNDECIDED
     end = float(part.clocks(part.places[-1:])[0])
@@ -185,8 +186,8 @@ def test_beyond_the_end_of_an_arms_way_nothing_is_proved() -> None:
 @pytest.mark.parametrize("task", [mixed_cell(), dual_arm7(), ring(arms=3)], ids=lambda task: task.name)
 def test_joints_stay_within_the_motion_that_is_proved(task: Scenario, rng: Any) -> None:
     found = check_path(task.cell, task.grasp, task.path, q_start=task.q_start)
-    ways = [arm.chosen.way for arm in found.arms if arm.chosen is not None]
-    way = CellWay(task.cell, task.path, segments_of(task.path), ways, task.cell.positions(task.q_start))
+    ways = [arm.chosen.trajectory for arm in found.arms if arm.chosen is not None]
+    way = CellTrajectory(task.cell, task.path, segments_of(task.path), ways, task.cell.positions(task.q_start))
     assert way.complete
     chain = Chain(task.cell, task.grasp)
     for i in rng.choice(len(way.places) - 1, 12, replace=False):
@@ -243,8 +244,8 @@ def test_the_proof_holds_for_a_motion_of_the_elbow_that_evades() -> None:
     scene = CollisionScene.of(task, margin=0.02)
     found = checked(task, scene)
     assert found.verdict is CERTIFIED
-    ways = [arm.chosen.way for arm in found.arms if arm.chosen is not None]
-    way = CellWay(task.cell, task.path, segments_of(task.path), ways, task.cell.positions(task.q_start))
+    ways = [arm.chosen.trajectory for arm in found.arms if arm.chosen is not None]
+    way = CellTrajectory(task.cell, task.path, segments_of(task.path), ways, task.cell.positions(task.q_start))
     places = np.linspace(0.0, way.places[-1], 201)
     q = np.array([task.cell.configuration(row) for row in way.positions(places)[0]])
     closest = Closeness(scene).closest(q, way.clocks(places))
@@ -397,7 +398,6 @@ def test_the_command_judges_distances(tmp_path: Path, capsys: pytest.CaptureFixt
     assert "all margins are kept, which is proved; closest 23 mm, left/link_3 and knob" in capsys.readouterr().out
 
 
-BAR = Path(__file__).parents[2] / "docs" / "examples" / "cells" / "bar.toml"
 TABLE = """
 [collision]
 margin_m = 0.005

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 import pytest
+from places import BAR
 
 from coopqp import (
     Grasp,
@@ -26,8 +27,6 @@ from coopqp.errors import NoStartError
 from coopqp.planning import time_path
 from coopqp.scenarios import Scenario, dual_arm7
 from coopqp.visualization import write_speed_profile
-
-BAR = Path(__file__).parents[2] / "docs" / "examples" / "cells" / "bar.toml"
 
 
 def task(acceleration: float = 5.0) -> tuple[Scenario, Any]:

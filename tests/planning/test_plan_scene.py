@@ -11,6 +11,7 @@ import numpy as np
 import pinocchio as pin
 import pytest
 from marks import slow_but_first
+from places import BAR
 
 from coopqp import (
     Clearance,
@@ -171,7 +172,6 @@ def test_a_scene_of_other_arms_and_starts_beside_a_scene_are_refused(paper: Scen
         plan(task.cell, task.grasp, path, scene=scene, starts=3)
 
 
-CELL = Path(__file__).parents[2] / "docs/examples/cells/bar.toml"
 POST = """
 [collision]
 obstacles = [ { name = "post", shape = "box", size_m = [0.1, 0.1, 0.2], at = { xyz_m = [0.0, Y, 0.55] } } ]
@@ -183,7 +183,7 @@ def test_the_command_has_the_statuses_of_check(
     y: str, status: int, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     file, out = tmp_path / "cell.toml", tmp_path / "plan"
-    text = re.sub(r"(?ms)^\[collision\].*?(?=^\[|\Z)", "", CELL.read_text(encoding="utf-8"))
+    text = re.sub(r"(?ms)^\[collision\].*?(?=^\[|\Z)", "", BAR.read_text(encoding="utf-8"))
     file.write_text(text + POST.replace("Y", y), encoding="utf-8")
     assert main(["check", str(file), "--json", str(tmp_path / "check.json"), "--quiet"]) == status
     capsys.readouterr()

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 import pytest
+from cells import one_arm_file
 from marks import slow_but_first
 from user_cells import CELLS, build
 
@@ -71,7 +72,7 @@ def exhaustive(arm: Arm, X: pin.SE3, path: Any, rng: Any) -> bool:
 
 def way_inside(kinematics: ArmKinematics, poses: Any, starts: Any) -> bool:
     """Whether a way from one of these starts is inside the limits at some turn, and away from singularities."""
-    ways, reached = kinematics.ways(poses, starts)
+    ways, reached = kinematics.trajectories(poses, starts)
     for way in ways[reached == len(poses) - 1]:
         fits = []
         for j in range(kinematics.n):
@@ -247,7 +248,7 @@ def test_every_arm_without_a_start_is_named(paper: Scenario) -> None:
         ({"free_roll": {"master": ["round"]}}, InvalidInputError, r"free_roll\['master'\]"),
         ({"free_roll": {"master": [np.nan]}}, InvalidInputError, r"free_roll\['master'\]"),
         ({"q_near": np.zeros(3)}, InvalidInputError, "q_near"),
-        ({"effort": 0}, InvalidInputError, "effort"),
+        ({"seed_factor": 0}, InvalidInputError, "seed_factor"),
         ({"grasp": Grasp((np.eye(4),))}, InvalidInputError, "1 placements for 3 arms"),
     ],
 )
@@ -326,27 +327,12 @@ def test_a_start_inside_limits_is_not_spoken_of(paper: Scenario) -> None:
     assert all(controller.step().reason == "" for _ in range(5))
 
 
-CELL_FILE = """
-name = "one"
-{start}
-[[arms]]
-name = "a"
-robot = "rx90l"
-[grasp]
-kind = "{grasp}"
-{tools}
-[path]
-kind = "hold"
-pose = {{ xyz_m = [{x}, 0.1, 0.6], rpy_deg = [0, 120, 0] }}
-duration_s = 1.0
-"""
+HOLD = """kind = "hold"
+pose = {{ xyz_m = [{x}, 0.1, 0.6], rpy_deg = [0, 120, 0] }}"""
 
 
-def cell_file(folder: Path, *, start: str = "", grasp: str = "tools", x: float = 0.7) -> Path:
-    file = folder / "one.toml"
-    tools = "tools.a = {}" if grasp == "tools" else ""
-    file.write_text(CELL_FILE.format(start=start, grasp=grasp, tools=tools, x=x), encoding="utf-8")
-    return file
+def cell_file(folder: Path, *, x: float = 0.7, **others: str) -> Path:
+    return Path(one_arm_file(folder, HOLD.format(x=x), **others))
 
 
 @pytest.mark.parametrize("start", ["", 'start = "auto"'])

@@ -10,6 +10,7 @@ import numpy as np
 import pinocchio as pin
 import pytest
 from marks import slow_but_first
+from runs import limited
 
 from coopqp import (
     HoldPath,
@@ -38,10 +39,6 @@ from coopqp.planning.timing import limits_along
 from coopqp.scenarios import Scenario, dual_arm7, mixed_cell, paper_lift, ring
 
 UM = 1e-6
-
-
-def limited(scenario: Scenario, acceleration: float = 5.0) -> Scenario:
-    return replace(scenario, cell=scenario.cell.with_limits(acceleration=acceleration))
 
 
 def plan_of(scenario: Scenario, **options: Any) -> TimedPath:
@@ -227,7 +224,7 @@ def test_jerk_limits_give_the_times_of_textbooks(v: float, a: float, jerk: float
     ("make", "jerk", "used"), [(lambda: ring(arms=2), 50.0, 0.95), (paper_lift, 5.0, 0.8), (dual_arm7, 50.0, 0.9)]
 )
 def test_joints_keep_their_jerk_limits_in_a_controller(make: Any, jerk: float, used: float) -> None:
-    scenario, dt = limited(make()), 0.002
+    scenario, dt = limited(make(), 5.0), 0.002
     path = plan_of(scenario, jerk=jerk)
     assert path.duration > 1.1 * plan_of(scenario).duration
     assert LimitKind.JERK in {b.kind for b in path.profile.binding if b}
@@ -274,7 +271,7 @@ def test_of_arms_that_move_alike_the_first_is_named() -> None:
 
 
 def test_poses_twists_and_clocks_belong_together() -> None:
-    path = plan_of(limited(dual_arm7()))
+    path = plan_of(limited(dual_arm7(), 5.0))
     assert not path.twist(0.0).any()
     assert not path.twist(path.duration).any()
     h = 1e-6
@@ -290,7 +287,7 @@ def test_poses_twists_and_clocks_belong_together() -> None:
 
 
 def test_a_path_is_made_again_from_its_numbers() -> None:
-    scenario = limited(dual_arm7())
+    scenario = limited(dual_arm7(), 5.0)
     end = scenario.path.pose(scenario.path.duration)
     corner = WaypointPath([scenario.path.pose(0.0), end, scenario.path.pose(1.0)], durations=[1.0, 1.0])
     geometry = blended([s for x in corner.segments if (s := x.straight())], distance=0.02, angle=0.1)
@@ -334,7 +331,7 @@ def test_bad_profiles_are_refused(s: list[float], squares: list[float]) -> None:
 
 
 def test_a_path_rests_at_corners() -> None:
-    scenario = limited(dual_arm7())
+    scenario = limited(dual_arm7(), 5.0)
     poses = [scenario.path.pose(t) for t in (0.0, 3.0)]
     poses.append(pin.SE3(poses[1].rotation, poses[1].translation + np.array([0.0, -0.05, 0.0])))
     path = time_path(scenario.cell, scenario.grasp, WaypointPath(poses, durations=[1.0, 1.0]), q_start=scenario.q_start)
@@ -368,7 +365,7 @@ def run(scenario: Scenario, path: ObjectPath, *, dt: float, kernel: str = "auto"
 @pytest.mark.parametrize("build", [lambda: ring(arms=2), dual_arm7, mixed_cell])
 @pytest.mark.parametrize("kernel", slow_but_first(available_kernels()))
 def test_a_controller_tracks_it_at_full_rate_all_along(build: Any, kernel: str) -> None:
-    scenario = limited(build())
+    scenario = limited(build(), 5.0)
     path = plan_of(scenario)
     steps, chain, away = run(scenario, path, dt=0.004, kernel=kernel)
     assert {s.status for s in steps} == {Status.TRACKING}
@@ -381,7 +378,7 @@ def test_a_controller_tracks_it_at_full_rate_all_along(build: Any, kernel: str) 
 
 
 def test_the_own_time_law_of_a_path_counts_for_nothing() -> None:
-    scenario = limited(dual_arm7())
+    scenario = limited(dual_arm7(), 5.0)
     assert isinstance(scenario.path, LinePath)
     other = LinePath(scenario.path.start, scenario.path.goal, duration=17.0, time_law="linear")
     a, b = plan_of(scenario), plan_of(replace(scenario, path=other))
@@ -406,7 +403,7 @@ class OwnPath(ObjectPath):
 
 @pytest.mark.slow
 def test_a_corner_that_a_path_of_ones_own_does_not_tell_is_found() -> None:
-    scenario = limited(dual_arm7())
+    scenario = limited(dual_arm7(), 5.0)
     start = scenario.path.pose(0.0)
     ways = np.array([[0.0, 0.0, 0.0], [0.02, 0.03, 0.06], [0.0, 0.04, 0.05], [0.01, 0.0, 0.0]])
     poses = [pin.SE3(start.rotation, start.translation + way) for way in ways]
@@ -420,7 +417,7 @@ def test_a_corner_that_a_path_of_ones_own_does_not_tell_is_found() -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("time_law", ["linear", "quintic"])
 def test_a_path_of_ones_own_takes_as_long_as_one_that_knows_its_geometry(time_law: str) -> None:
-    scenario = limited(dual_arm7())
+    scenario = limited(dual_arm7(), 5.0)
     start = scenario.path.pose(0.0)
     across = pin.SE3(start.rotation, start.translation + np.array([0.05, 0.08, 0.1]))
     back = pin.SE3(pin.exp3(np.array([0.1, 0.0, 0.2])) @ start.rotation, start.translation + np.array([0.0, 0.1, 0.05]))
@@ -438,7 +435,7 @@ def test_a_path_of_ones_own_takes_as_long_as_one_that_knows_its_geometry(time_la
 
 def test_a_path_of_ones_own_may_say_what_it_was_planned_with() -> None:
     """Without the share the look-ahead keeps its own margins, and slows the same path down."""
-    scenario = limited(ring(arms=2))
+    scenario = limited(ring(arms=2), 5.0)
     planned = plan_of(scenario)
     own, unsaid = OwnPath(planned), OwnPath(planned)
     own.planned_share = planned.planned_share
@@ -452,7 +449,7 @@ def test_a_path_of_ones_own_may_say_what_it_was_planned_with() -> None:
 
 @pytest.mark.parametrize("kernel", available_kernels())
 def test_the_settings_of_a_planned_path_end_with_it(kernel: str) -> None:
-    scenario = limited(dual_arm7())
+    scenario = limited(dual_arm7(), 5.0)
     options = QPOptions(kernel=kernel, posture={"gain": 1.0})  # type: ignore[arg-type]
     fresh = QPController(scenario.cell, scenario.grasp, scenario.path, dt=0.01, options=options)
     used = QPController(scenario.cell, scenario.grasp, plan_of(scenario), dt=0.01, options=options)
@@ -473,7 +470,7 @@ def test_the_settings_of_a_planned_path_end_with_it(kernel: str) -> None:
 
 
 def test_what_cannot_be_timed_is_named() -> None:
-    scenario = limited(dual_arm7())
+    scenario = limited(dual_arm7(), 5.0)
     pose = scenario.path.pose(0.0)
     for path in (HoldPath(pose), ServoPath(pose)):
         with pytest.raises(InvalidInputError, match="geometry"):
@@ -503,7 +500,7 @@ def test_what_cannot_be_timed_is_named() -> None:
 
 
 def test_a_geometry_can_be_timed_as_well_as_a_path() -> None:
-    scenario = limited(dual_arm7())
+    scenario = limited(dual_arm7(), 5.0)
     geometry = scenario.path.geometry()
     assert isinstance(geometry, PathGeometry)
     path = time_path(scenario.cell, scenario.grasp, geometry, q_start=scenario.q_start)

@@ -35,7 +35,7 @@ from coopqp.baselines import (
 )
 from coopqp.control import RankWeights
 from coopqp.scenarios import Scenario, paper_lift, robot_arm, robot_path
-from coopqp.simulation import DisturbedPlant, KinematicPlant, Monitor, PhysicsPlant, describe_object, judge, read_run
+from coopqp.simulation import DisturbedPlant, KinematicPlant, Monitor, PhysicsPlant, describe_object, evaluate, read_run
 from coopqp.simulation.evaluation.monitor import COMMANDED
 from coopqp.solvers import DaqpSettings, ProxqpSettings, make_solver
 from coopqp.spatial import adjoint
@@ -72,13 +72,13 @@ def test_what_is_none_of_it_is_refused_by_name(call: Callable[[], Any], words: s
 
 
 def test_options_may_be_a_dictionary() -> None:
-    given = {"grasp_gain": 10, "preview": {"newton_steps": 2}, "weights": {"comfort": 1e-5}}
-    options = QPOptions(grasp_gain=10, preview=PreviewOptions(newton_steps=2), weights=RankWeights(comfort=1e-5))
+    given = {"grasp_gain": 10, "preview": {"newton_steps": 2}, "weights": {"posture": 1e-5}}
+    options = QPOptions(grasp_gain=10, preview=PreviewOptions(newton_steps=2), weights=RankWeights(posture=1e-5))
     made = controller(options=given).options
     for name in ("grasp_gain", "path_gain", "preview", "weights", "supervision"):
         assert getattr(made, name) == getattr(options, name)
     assert controller(options={}).options.grasp_gain == QPOptions().grasp_gain
-    assert given == {"grasp_gain": 10, "preview": {"newton_steps": 2}, "weights": {"comfort": 1e-5}}
+    assert given == {"grasp_gain": 10, "preview": {"newton_steps": 2}, "weights": {"posture": 1e-5}}
     pseudo = PseudoInverseController(CELL, GRASP, PATH, dt=0.01, options={"reset_every": 10})
     assert pseudo.options == PseudoInverseOptions(reset_every=10)
     alone = IndependentQPController(CELL, GRASP, PATH, dt=0.01, options={"gain": 10})
@@ -87,7 +87,7 @@ def test_options_may_be_a_dictionary() -> None:
     assert DisturbedPlant(CELL, GRASP, {"encoder_noise": 1e-4}).disturbances.encoder_noise == 1e-4
     recording = simulate(controller(), q_start=LIFT.q_start, duration=0.02)
     readings = read_run(CELL, recording)
-    assert not judge(CELL, recording, readings, tolerances={"object_mm": 1e-12})[-1].holds
+    assert not evaluate(CELL, recording, readings, tolerances={"object_mm": 1e-12})[-1].holds
 
 
 def test_the_physics_plant_takes_a_dictionary() -> None:

@@ -13,11 +13,11 @@ from pathlib import Path
 import pytest
 from apart import run_apart
 from pictures import MOST_PIXELS, PROGRAMS, difference, drawn_alike
+from places import ROOT
 
 import coopqp
 from coopqp.native.constants import RECOVERY_SHARE
 
-ROOT = Path(__file__).parents[2]
 DOCS = ROOT / "docs"
 EXAMPLES = sorted((DOCS / "examples").glob("[0-9][0-9]_*.py"))
 PAGES = sorted(p for p in DOCS.rglob("*.md") if "_build" not in p.parts)
@@ -134,10 +134,10 @@ def test_defaults_in_the_text_are_those_of_the_code() -> None:
     o = coopqp.QPOptions()
     s, w, p = o.supervision, o.weights, coopqp.PreviewOptions()
     assert (o.grasp_gain, o.path_gain, o.correction_speed, o.correction_spin) == (20.0, 20.0, 0.1, 0.4)
-    assert (o.measurement_time, o.solver, o.common_error.kind) == (0.02, "auto", "master")
+    assert (o.measurement_time, o.solver, o.common_error.kind) == (0.02, "auto", "leader")
     assert (o.blocked_rate, s.joint_jump, s.stall_samples) == (1e-3, 0.3, 4)
     assert (s.slow_from, s.hold_from, s.fault_from, s.dt_range) == (0.00025, 0.00075, 0.02, (0.1, 5.0))
-    assert (w.chain, w.recovery, w.off_path, w.grasp, w.path, w.rate, w.comfort) == (1e8, 1e6, 1e4, 1, 1e-2, 1e-4, 1e-6)
+    assert (w.chain, w.recovery, w.off_path, w.grasp, w.path, w.rate, w.posture) == (1e8, 1e6, 1e4, 1, 1e-2, 1e-4, 1e-6)
     assert (w.length, p.rate_slope, p.margin, p.curvature_share) == (0.3, 10.0, 0.95, 0.5)
 
 

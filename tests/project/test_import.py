@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import subprocess
-import sys
 
 import pytest
-from marks import slow_unless
+from marks import slow_but_first, slow_unless
+from processes import output, python
 
 OPTIONAL = (
     "matplotlib", "rich", "mujoco", "viser", "meshcat", "example_robot_data", "trimesh", "PIL", "pandas",
@@ -58,7 +58,7 @@ print(",".join(loaded))
 
 def imported(names: tuple[str, ...], *, blocked: bool) -> subprocess.CompletedProcess[str]:
     code = CHECK.format(optional=OPTIONAL, names=names, blocked=blocked)
-    return subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=120, check=False)
+    return python("-c", code)
 
 
 @pytest.mark.parametrize(
@@ -85,25 +85,17 @@ from coopqp.simulation import Monitor
 from coopqp.scenarios import paper_lift
 assert not [name for name in sys.modules if name.startswith("scipy.")]
 """
-    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, timeout=120, check=False)
-    assert done.returncode == 0, done.stderr
+    output("-c", program)
 
 
 def test_importing_says_nothing() -> None:
-    done = subprocess.run(
-        [sys.executable, "-W", "error::DeprecationWarning:coopqp", "-c", "import coopqp"],
-        capture_output=True,
-        text=True,
-        timeout=120,
-        check=False,
-    )
+    done = python("-W", "error::DeprecationWarning:coopqp", "-c", "import coopqp")
     assert (done.returncode, done.stdout, done.stderr) == (0, "", "")
 
 
 @pytest.mark.parametrize(
-    "first", ["coopqp.collision.clearance", "coopqp.control.step.verdict", "coopqp.control.step.plain"]
+    "first", slow_but_first(["coopqp.collision.clearance", "coopqp.control.step.verdict", "coopqp.control.step.plain"])
 )
 def test_no_room_has_to_be_imported_before_another(first: str) -> None:
     """The command imports bodies before controllers, programs the other way round."""
-    done = subprocess.run([sys.executable, "-c", f"import {first}"], capture_output=True, text=True, check=False)
-    assert done.returncode == 0, done.stderr
+    output("-c", f"import {first}")

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import sys
-from pathlib import Path
 
 import pytest
+from places import ROOT
 
-sys.path.insert(0, str(Path(__file__).parents[1]))
+sys.path.insert(0, str(ROOT / "tests"))
 from mutants import c
-from mutants.reach import Reach, in_functions
+from mutants.reach import Reach, folders_of, in_functions
 
 SOURCE = """/* if (a < b) nothing; */
 #define TWICE(x) (2 * (x))
@@ -55,7 +55,7 @@ def test_each_kind_changes_one_place_of_the_code_and_no_text() -> None:
 
 
 def test_every_source_in_cpp_has_places_and_is_compiled_or_included() -> None:
-    files = list((Path(__file__).parents[2] / "coopqp").rglob("*.cpp"))
+    files = list((ROOT / "coopqp").rglob("*.cpp"))
     included = "".join(file.read_text(encoding="utf-8") for file in files)
     for file in files:
         assert file.parent.name == "native"
@@ -74,6 +74,21 @@ def test_the_tests_of_a_line_come_first(line: str, seconds: float, tests: list[s
     took = {"quick": 1.0, "long": 5.0, "other": 2.0, "last": 7.0}
     reach = Reach(took, {"m.py": {"x = 1": ["quick", "long"]}}, {"m.py": ["other", "last", "quick"]})
     assert reach.tests("m.py", f"    {line}" if line else "", seconds) == tests
+
+
+def test_the_tests_of_a_package_come_before_those_of_its_importers() -> None:
+    reach = Reach({}, {}, {"m.py": ["tests/cli/test_a.py::b", "tests/forces/test_a.py::c"]})
+    assert reach.tests("m.py", "", 9.0, ["tests/forces/"]) == ["tests/forces/test_a.py::c"]
+    own, second = folders_of("forces")
+    assert own == ["tests/forces/"]
+    assert {"tests/cli/", "tests/simulation/", "tests/reliability/"} <= {*second}
+    assert not {"tests/forces/", "tests/planning/"} & {*second}
+
+
+def test_every_package_has_a_folder_of_tests() -> None:
+    """Where mutation runs find them."""
+    packages = {folder.name for folder in (ROOT / "coopqp").iterdir() if (folder / "__init__.py").exists()}
+    assert {name for name in packages if not list((ROOT / "tests" / name).glob("test_*.py"))} == set()
 
 
 def test_lines_of_functions() -> None:

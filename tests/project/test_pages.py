@@ -18,15 +18,14 @@ from importlib.metadata import metadata
 from pathlib import Path
 
 import pytest
+from places import ROOT
 
 from coopqp import load_cell_file
-from coopqp.cli import demo
-from coopqp.cli import main as cli
+from coopqp.cli import demo, main as cli
 from coopqp.scenarios import robot_file
 from coopqp.simulation import Tolerances
 from coopqp.visualization import plots
 
-ROOT = Path(__file__).parents[2]
 CELLS = ROOT / "docs" / "examples" / "cells"
 PAGES = [ROOT / "README.md", ROOT / "benchmarks" / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]
 BLOCK = re.compile(r"^```(\S+)[^\n]*\n(.*?)^```$", re.M | re.S)

@@ -7,16 +7,14 @@ import dataclasses
 import importlib
 import inspect
 import re
-import subprocess
-import sys
 from collections.abc import Iterator
-from pathlib import Path
 
 import pytest
+from places import ROOT
+from processes import output
 
 import coopqp
 
-ROOT = Path(__file__).parents[2]
 PACKAGE = ROOT / "coopqp"
 #: Packages whose names a stub lists, imported on first use.
 LAZY = (
@@ -188,16 +186,15 @@ sys.meta_path.insert(0, Refuse())
 from coopqp import *
 from coopqp.files import *
 """
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=120, check=False)
-    assert done.returncode == 0, done.stderr
+    output("-c", code)
 
 
 def test_importing_coopqp_leaves_files_pictures_and_engines_alone() -> None:
     code = "import sys, coopqp; print(*sorted(name for name in sys.modules if name.startswith('coopqp.')))"
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=120, check=True)
-    rooms = {name.split(".")[1] for name in done.stdout.split()}
+    loaded = output("-c", code).split()
+    rooms = {name.split(".")[1] for name in loaded}
     assert rooms.isdisjoint({"files", "studies", "visualization", "cli"})
-    assert "coopqp.simulation.plants.physics" not in done.stdout.split()
+    assert "coopqp.simulation.plants.physics" not in loaded
 
 
 def test_options_are_frozen_and_given_by_name() -> None:

@@ -13,11 +13,10 @@ import matplotlib.image
 import pytest
 from markdown_it import MarkdownIt
 from PIL import Image
+from places import ROOT
 
-from coopqp.cli import demo
-from coopqp.cli import main as cli
+from coopqp.cli import demo, main as cli
 
-ROOT = Path(__file__).parents[2]
 README = (ROOT / "README.md").read_text(encoding="utf-8")
 
 

@@ -15,6 +15,7 @@ from typing import Any, TypeAlias
 import numpy as np
 import numpy.typing as npt
 import pinocchio as pin
+from runs import built, drive, limited
 
 from coopqp import (
     Cause,
@@ -24,13 +25,11 @@ from coopqp import (
     LinePath,
     ObjectPath,
     QPController,
-    QPOptions,
     ServoPath,
     Status,
     WaypointPath,
     inverse_kinematics,
 )
-from coopqp.control import Controller
 from coopqp.control.step.velocity_bounds import VelocityBox
 from coopqp.errors import UnreachableError
 from coopqp.model import CellState
@@ -44,29 +43,6 @@ Array: TypeAlias = npt.NDArray[np.float64]
 Maker: TypeAlias = Callable[..., Any]
 #: Tolerances of a verdict without checks of chain and path, which are only measured.
 WIDE: dict[str, Any] = dict.fromkeys(("chain_mm", "chain_deg", "object_mm", "object_deg"), 1e9)
-
-
-def cooperative(task: Scenario, **options: Any) -> QPController:
-    """The controller under test."""
-    return QPController(task.cell, task.grasp, task.path, dt=task.dt, options=QPOptions(**options))
-
-
-def limited(task: Scenario, **limits: Any) -> Scenario:
-    """The scenario with other limits."""
-    return replace(task, cell=task.cell.with_limits(**limits))
-
-
-def drive(controller: Controller, q: Any, steps: int, *, rest: int | None = None) -> list[ControlStep]:
-    """Reset at ``q`` and do at most ``steps`` steps, to the end of the path or until blocked for ``rest`` steps."""
-    controller.reset(q)
-    done: list[ControlStep] = []
-    waited = 0
-    while len(done) < steps and not (done and done[-1].finished):
-        done.append(controller.step())
-        waited = waited + 1 if done[-1].status is Status.BLOCKED else 0
-        if rest is not None and waited >= rest:
-            break
-    return done
 
 
 def judged(task: Scenario, steps: Iterable[ControlStep], **tolerances: Any) -> Verdict:
@@ -708,7 +684,7 @@ class Sharing:
 def needed_speeds(task: Scenario) -> Array:
     """Largest speed of each joint along the path without limits (nv,) [rad/s]."""
     free = limited(task, velocity=100.0)
-    return np.asarray(np.abs([s.velocity for s in drive(cooperative(free), task.q_start, 5000)]).max(axis=0))
+    return np.asarray(np.abs([s.velocity for s in drive(built(free), 5000)]).max(axis=0))
 
 
 def slows_together(
@@ -725,7 +701,7 @@ def slows_together(
     else:
         speed[joint] = share * peak[joint]
     cut = limited(task, velocity=speed)
-    steps = drive(make(cut, **options), task.q_start, 10_000, rest=5)
+    steps = drive(make(cut, **options), 10_000, start=task.q_start, rest=5)
     saturated = []
     for s in steps:
         fast = np.linalg.norm(_WEIGHTS * s.path.twist(s.clock)) * s.rate > MOVING

@@ -26,7 +26,7 @@ from coopqp.files.cellfile import load_cell_task
 from coopqp.files.cellfile.text import read_tables
 from coopqp.files.export import csv_parts
 from coopqp.scenarios import paper_lift
-from coopqp.simulation import describe_object, judge, read_run
+from coopqp.simulation import describe_object, evaluate, read_run
 from coopqp.simulation.evaluation.assessment import why
 from coopqp.simulation.evaluation.closeness import default_scene, with_clearance
 from coopqp.simulation.evaluation.figures import run_figures
@@ -251,7 +251,7 @@ def _use_recording(file: Path, turn: int) -> None:
     cell = run.cell()
     readings = read_run(cell, run)
     run_figures(cell, run, readings)
-    why(judge(cell, run, readings))
+    why(evaluate(cell, run, readings))
     for _ in csv_parts(run):
         pass
     stage = Stage(_Nodes(), run)

@@ -11,8 +11,7 @@ from typing import Any
 
 import numpy as np
 import pinocchio as pin
-from hypothesis import Phase, given, note, settings
-from hypothesis import strategies as st
+from hypothesis import Phase, given, note, settings, strategies as st
 
 from coopqp import CoopqpError, InvalidInputError
 

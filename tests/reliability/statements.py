@@ -19,7 +19,7 @@ from coopqp import load_cell_file
 from coopqp.cli import main as cli
 from coopqp.files.cellfile.build import CellRun
 from coopqp.files.cellfile.hints import unit_hints
-from coopqp.simulation import judge, read_run
+from coopqp.simulation import evaluate, read_run
 
 ROOT = Path(__file__).parents[2]
 #: One arm that lifts a box; its start is found.
@@ -100,7 +100,7 @@ def _clear(quick: bool, folder: Path) -> Iterator[tuple[str, float]]:
                 continue
             recording = run.run()
         inside_it = _overlapping(run)
-        finding = judge(run.scenario.cell, recording, read_run(run.scenario.cell, recording))[5]
+        finding = evaluate(run.scenario.cell, recording, read_run(run.scenario.cell, recording))[5]
         runs, overlaps = runs + 1, overlaps + bool(inside_it)
         false += (finding.holds and bool(inside_it)) or any(link not in finding.answer for link in inside_it)
     assert runs

@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 import json
-import os
 import statistics
-import subprocess
-import sys
 from pathlib import Path
 from typing import Any
 
 import pytest
+from processes import output
 
 from coopqp.solvers import available_solvers
 
@@ -20,17 +18,7 @@ HARD_TIMEOUT = 180.0
 
 
 def ran(solver: str) -> dict[str, Any]:
-    environment = {**os.environ, "OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
-    done = subprocess.run(
-        [sys.executable, str(PROGRAM), solver],
-        capture_output=True,
-        text=True,
-        timeout=HARD_TIMEOUT,
-        env=environment,
-        check=False,
-    )
-    assert done.returncode == 0, done.stderr[-2000:]
-    found: dict[str, Any] = json.loads(done.stdout.splitlines()[-1])
+    found: dict[str, Any] = json.loads(output(PROGRAM, solver, timeout=HARD_TIMEOUT).splitlines()[-1])
     return found
 
 

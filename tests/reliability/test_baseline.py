@@ -7,8 +7,9 @@ from collections.abc import Callable
 from typing import Any
 
 import pytest
-from checks import cooperative, drive, judged, limited
+from checks import judged
 from marks import slow_but_first
+from runs import cooperative, drive, limited
 
 from coopqp.baselines import PseudoInverseController
 from coopqp.scenarios import Scenario, at_limit, at_singularity, fast_lift, paper_lift
@@ -47,7 +48,7 @@ def test_the_oracle_sees_what_the_baseline_breaks(name: str, catalogue: Any) -> 
         ("baseline", PseudoInverseController(task.cell, task.grasp, task.path, dt=task.dt)),
         ("cooperative", cooperative(task)),
     ):
-        done = drive(controller, task.q_start, 1500, rest=20)
+        done = drive(controller, 1500, start=task.q_start, rest=20)
         counts[who] = Counter(judged(task, done).counts)
         steps += len(done)
     assert set(counts["baseline"]) >= expected, "an oracle that does not see these is worth nothing"

@@ -19,17 +19,15 @@ from checks import (
     FAULTS,
     box_stops,
     controller_overshoot,
-    cooperative,
-    drive,
     fenced_out,
     from_outside,
     judged,
-    limited,
     rough_steps,
     saturated,
     slows_together,
     solver_fails,
 )
+from runs import cooperative, drive, limited
 
 from coopqp import ControlStep, ServoPath, Status
 from coopqp.baselines import IndependentQPController, PseudoInverseController, PseudoInverseOptions
@@ -307,7 +305,7 @@ def never_again() -> Spoil:
 def tears(make: Callable[[Scenario], Any]) -> bool:
     """True if the monitor sees the arms part on the way to a stretched elbow."""
     task = at_singularity("elbow", 1, acceleration=np.inf)
-    counts = judged(task, drive(make(task), task.q_start, 1200, rest=20), object_mm=1e9, object_deg=1e9).counts
+    counts = judged(task, drive(make(task), 1200, start=task.q_start, rest=20), object_mm=1e9, object_deg=1e9).counts
     return ViolationKind.CHAIN in counts
 
 
@@ -353,20 +351,20 @@ def baseline_breaks() -> bool:
     task = fast_lift()
     controller = PseudoInverseController(task.cell, task.grasp, task.path, dt=task.dt)
     return {ViolationKind.VELOCITY, ViolationKind.CHAIN} <= set(
-        judged(task, drive(controller, task.q_start, 300)).counts
+        judged(task, drive(controller, 300, start=task.q_start)).counts
     )
 
 
 def off_the_path() -> bool:
     """The clock is ahead of the object."""
     task = lift()
-    steps = [s.replaced(clock_next=s.clock_next + 0.1) for s in drive(cooperative(task), task.q_start, 200)]
+    steps = [s.replaced(clock_next=s.clock_next + 0.1) for s in drive(cooperative(task), 200, start=task.q_start)]
     return ViolationKind.PATH in judged(task, steps).counts
 
 
 def goes_on_while_holding() -> bool:
     task = lift()
-    steps = [s.replaced(status=Status.HOLDING) for s in drive(cooperative(task), task.q_start, 200)]
+    steps = [s.replaced(status=Status.HOLDING) for s in drive(cooperative(task), 200, start=task.q_start)]
     return ViolationKind.HOLDING in judged(task, steps).counts
 
 
@@ -376,7 +374,7 @@ def differs_between_runs() -> bool:
     def run() -> list[Any]:
         rng = np.random.default_rng()
         noisy = spoiled(lambda s, i: changed(s, "velocity", 0, float(rng.uniform(0.0, 1e-15))))
-        return [s.velocity for s in drive(noisy(mixed_cell()), mixed_cell().q_start, 20)]
+        return [s.velocity for s in drive(noisy(mixed_cell()), 20, start=mixed_cell().q_start)]
 
     return not np.array_equal(run(), run())
 

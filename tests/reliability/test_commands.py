@@ -9,7 +9,8 @@ from typing import Any
 
 import numpy as np
 import pytest
-from checks import cooperative, limited, rough_steps
+from checks import rough_steps
+from runs import cooperative, limited
 
 from coopqp import Status
 from coopqp.native import available_kernels

@@ -3,19 +3,16 @@
 from __future__ import annotations
 
 import itertools
-import os
-import subprocess
-import sys
 from collections.abc import Callable, Sequence
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-import pinocchio as pin
 import pytest
+from cells import reordered, with_mismatch
+from processes import output
 
-from coopqp import CommonError, Grasp, QPController, QPOptions, RobotCell
+from coopqp import CommonError, QPController, QPOptions
 from coopqp.scenarios import Scenario, at_limit, dual_arm7, fast_lift, mixed_cell, ring, scara_pair
 
 PROGRAM = Path(__file__).with_name("programs") / "repeat.py"
@@ -23,17 +20,7 @@ PROGRAM = Path(__file__).with_name("programs") / "repeat.py"
 
 def ran(solver: str, steps: int, file: Path, seed: int) -> tuple[int, str]:
     """Number of steps and hash from a separate process with another hash seed of strings."""
-    environment = {**os.environ, "OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1", "PYTHONHASHSEED": str(seed)}
-    done = subprocess.run(
-        [sys.executable, str(PROGRAM), solver, str(steps), str(file)],
-        capture_output=True,
-        text=True,
-        timeout=600,
-        env=environment,
-        check=False,
-    )
-    assert done.returncode == 0, done.stderr[-2000:]
-    number, digest = done.stdout.split()
+    number, digest = output(PROGRAM, solver, steps, file, timeout=600, PYTHONHASHSEED=str(seed)).split()
     return int(number), digest
 
 
@@ -73,22 +60,6 @@ def test_another_process_commands_the_same(
 # -- the order of the arms ---------------------------------------------------------------------------------------------
 
 
-def reordered(task: Scenario, order: Sequence[int]) -> Scenario:
-    return replace(
-        task,
-        cell=RobotCell([task.cell.arms[k] for k in order]),
-        grasp=Grasp(tuple(task.grasp.T_object_tool[k] for k in order)),
-        q_start=np.concatenate([task.q_start[task.cell.q_slices[k]] for k in order]),
-    )
-
-
-def with_mismatch(task: Scenario) -> Scenario:
-    """One arm holds the object with an error of a millimetre, which the controller corrects."""
-    tools = list(task.grasp.T_object_tool)
-    tools[1] = pin.SE3(np.eye(3), np.array([0.0, 0.001, 0.0])) * tools[1]
-    return replace(task, grasp=Grasp(tuple(tools)))
-
-
 def commands(task: Scenario, names: Sequence[str], options: QPOptions, steps: int) -> Any:
     """Joint velocities (steps, nv), with the arms in the order of ``names``."""
     controller = QPController(task.cell, task.grasp, task.path, dt=0.005, options=options)
@@ -105,10 +76,10 @@ def test_the_order_of_the_arms_does_not_matter(
 ) -> None:
     worst, where, cases = 0.0, "", 0
     for make in (fast_lift, at_limit, mixed_cell, dual_arm7, scara_pair, lambda: ring(arms=5)):
-        task = with_mismatch(make())
+        task = with_mismatch(make(), 1, (0.0, 0.001, 0.0))  # which the controller corrects
         names = task.cell.arm_names
         orders = list(itertools.permutations(range(len(names))))[1:]
-        for common in (CommonError.master(names[0]), CommonError.leaderless()):
+        for common in (CommonError.leader(names[0]), CommonError.leaderless()):
             options = QPOptions(common_error=common, shortcut=how == "as it comes")
             first = commands(task, names, options, 150)
             for i in rng.permutation(len(orders))[: count(5)]:

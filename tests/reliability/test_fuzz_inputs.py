@@ -22,8 +22,7 @@ from fuzzing import (
     pose_like,
     positive_like,
 )
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from hypothesis import given, settings, strategies as st
 
 from coopqp import (
     CommonError,

@@ -8,7 +8,8 @@ from typing import Any
 
 import numpy as np
 import pytest
-from checks import Return, cooperative, fenced_out, from_outside, ideal_return, shifted_together
+from checks import Return, fenced_out, from_outside, ideal_return, shifted_together
+from runs import cooperative
 
 from coopqp.scenarios import Scenario, dual_arm7, mixed_cell, paper_lift
 from coopqp.solvers import available_solvers

@@ -9,7 +9,8 @@ from typing import Any
 
 import numpy as np
 import pytest
-from checks import Sharing, cooperative, fenced_out, limited, needed_speeds, saturated, slows_together
+from checks import Sharing, fenced_out, needed_speeds, saturated, slows_together
+from runs import cooperative, limited
 
 from coopqp import LinePath, ServoPath
 from coopqp.scenarios import (

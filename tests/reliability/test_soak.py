@@ -3,15 +3,13 @@
 from __future__ import annotations
 
 import json
-import os
-import subprocess
-import sys
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from processes import output
 
 PROGRAM = Path(__file__).with_name("programs") / "soak.py"
 ROUND = 100_000
@@ -25,16 +23,7 @@ MIB = 2**20
 @pytest.mark.timeout(3600)
 def test_a_million_steps_leave_nothing_behind(count: Callable[[int], int], catalogue: Any) -> None:
     rounds = count(10)
-    done = subprocess.run(
-        [sys.executable, str(PROGRAM), str(rounds)],
-        capture_output=True,
-        text=True,
-        timeout=3500,
-        env={**os.environ, "OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"},
-        check=False,
-    )
-    assert done.returncode == 0, done.stderr[-2000:]
-    found = json.loads(done.stdout)
+    found = json.loads(output(PROGRAM, rounds, timeout=3500))
     samples = found["samples"][WARM_UP - 1 :]
     assert len(samples) == rounds - WARM_UP + 1
     resident, files, objects = (np.array([s[name] for s in samples]) for name in ("resident", "files", "objects"))

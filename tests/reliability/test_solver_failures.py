@@ -10,8 +10,9 @@ from typing import Any
 
 import numpy as np
 import pytest
-from checks import FAULTS, REST, Failure, FaultySolver, cooperative, fails_now, judged, limited, set_off
+from checks import FAULTS, REST, Failure, FaultySolver, fails_now, judged, set_off
 from marks import slow_but_first
+from runs import cooperative, limited
 
 from coopqp import ObjectPath, ServoPath, Status
 from coopqp.native import available_kernels

@@ -9,7 +9,8 @@ from typing import Any
 import numpy as np
 import pytest
 import recorded_qps
-from checks import FaultySolver, cooperative
+from checks import FaultySolver
+from runs import cooperative
 
 from coopqp import Status
 from coopqp.native import available_kernels

@@ -12,8 +12,7 @@ import numpy as np
 import pinocchio as pin
 import pytest
 from fuzzing import answer
-from hypothesis import settings
-from hypothesis import strategies as st
+from hypothesis import settings, strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, initialize, precondition, rule, run_state_machine_as_test
 
 from coopqp import (

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import functools
 import re
 import warnings
 from collections.abc import Callable, Sequence
@@ -12,6 +11,7 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 import pytest
+from runs import fast_lift, limited_once
 
 from coopqp import (
     ControlStep,
@@ -36,22 +36,10 @@ FAR, ROUNDING = (1e-3, np.deg2rad(0.1)), 1e-9
 STOPPED = (Status.BLOCKED, Status.HOLDING, Status.FAULT)
 
 
-def fast_lift() -> Scenario:
-    task = paper_lift()
-    assert isinstance(task.path, LinePath)
-    return dataclasses.replace(task, path=LinePath(task.path.start, task.path.goal, duration=0.6))
-
-
 MAKES: tuple[Callable[[], Scenario], ...] = (
     paper_lift, fast_lift, mixed_cell, dual_arm7, lambda: at_limit(direction=(0.1, 0.05, 1.0)), at_singularity,
     lambda: at_singularity("elbow"), lambda: at_singularity("reach"),
 )  # fmt: skip
-
-
-@functools.cache
-def limited(make: Callable[[], Scenario], acceleration: float) -> Scenario:
-    task = make()
-    return dataclasses.replace(task, cell=task.cell.with_limits(acceleration=acceleration))
 
 
 def off_path(task: Scenario, steps: Sequence[ControlStep], poses: Sequence[pin.SE3]) -> list[tuple[float, float]]:
@@ -110,7 +98,7 @@ class Tally:
 def wild(seed: int, kernel: str, tally: Tally, *, jitter: bool) -> None:
     """A run in which path, target, override and the length of a step change at random."""
     rng = np.random.default_rng(seed)
-    task = limited(MAKES[seed % len(MAKES)], float(rng.choice([np.inf, 5.0, 20.0])))
+    task = limited_once(MAKES[seed % len(MAKES)], float(rng.choice([np.inf, 5.0, 20.0])))
     dt = float(10.0 ** rng.uniform(-4.0, -1.0)) if jitter else 0.004
     options: dict[str, Any] = {"shortcut": bool(rng.uniform() < 0.8)}
     if rng.uniform() < 0.4:
@@ -182,7 +170,7 @@ def test_a_previewed_object_is_never_said_to_be_off_its_path(kernel: str, catalo
         if make is five_joint_pair and kernel == "compiled":
             continue
         for acceleration in accelerations if kernel == "compiled" else accelerations[k % 3 :][:1]:
-            task = limited(make, acceleration)
+            task = limited_once(make, acceleration)
             controller = QPController(task.cell, task.grasp, task.path, dt=0.003, options=QPOptions(kernel=kernel))
             controller.reset(task.q_start)
             for _ in range(1000):
@@ -208,7 +196,7 @@ def test_a_start_off_the_grasp_or_the_path_is_said(kernel: str, catalogue: Any, 
     """By 0.1 mm to the tolerance; the words end when the arms are where they should be."""
     rng, silent, cases, wrong = np.random.default_rng(3), 0, 0, 0
     while cases < count(30 if kernel == "compiled" else 15):
-        task = limited(MAKES[cases % 4], float(rng.choice([np.inf, 10.0])))
+        task = limited_once(MAKES[cases % 4], float(rng.choice([np.inf, 10.0])))
         controller = QPController(task.cell, task.grasp, task.path, dt=0.005, options=QPOptions(kernel=kernel))
         q = task.cell.moved(task.q_start, 10.0 ** rng.uniform(-4.0, -2.0) * rng.standard_normal(task.cell.nv))
         O = task.grasp.carried(CellState(task.cell, q))

@@ -7,7 +7,8 @@ from typing import Any
 
 import numpy as np
 import pytest
-from checks import DRIVES, box_stops, controller_overshoot, cooperative
+from checks import DRIVES, box_stops, controller_overshoot
+from runs import cooperative
 
 STEPS = (0.001, 0.002, 0.01)  # [s]
 OVERSHOOT = 1e-12  # [rad]

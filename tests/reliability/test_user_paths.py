@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 import pytest
+from runs import cooperative, limited
 
 from coopqp import (
     ControlStep,
@@ -18,8 +19,6 @@ from coopqp import (
     LimitKind,
     LinePath,
     ObjectPath,
-    QPController,
-    QPOptions,
     Status,
     check_path,
 )
@@ -119,14 +118,6 @@ def spoiled(path: Own, name: str) -> Own:
 WAYS = [*broken(pin.SE3.Identity()), *broken_twists()]
 
 
-def built(task: Scenario, path: ObjectPath, kernel: str = "auto", **options: Any) -> QPController:
-    return QPController(task.cell, task.grasp, path, dt=DT, options=QPOptions(kernel=kernel, **options))
-
-
-def limited(task: Scenario, acceleration: float) -> Scenario:
-    return dataclasses.replace(task, cell=task.cell.with_limits(acceleration=acceleration))
-
-
 # -- when it is built --------------------------------------------------------------------------------------------------
 
 
@@ -137,7 +128,7 @@ def test_a_broken_path_is_refused_when_it_is_built(name: str) -> None:
         path = spoiled(Own(task), name)
         path.since = since
         with pytest.raises(InvalidInputError, match=r"QPController: path: .*path"):
-            built(task, path)
+            cooperative(task, path=path, dt=DT)
 
 
 @pytest.mark.parametrize("duration", [0.0, -1.0, np.nan, "long", None])
@@ -146,7 +137,7 @@ def test_a_path_without_a_duration_is_refused(duration: Any) -> None:
     path = Own(task)
     path.duration = duration
     with pytest.raises(InvalidInputError, match="duration"):
-        built(task, path)
+        cooperative(task, path=path, dt=DT)
 
 
 def test_a_duration_may_be_any_number() -> None:
@@ -154,7 +145,7 @@ def test_a_duration_may_be_any_number() -> None:
     for duration in (np.float32(2.0), 2, np.int64(2), np.float64(2.0)):
         path = Own(task)
         path.duration = duration
-        built(task, path)
+        cooperative(task, path=path, dt=DT)
 
 
 def test_a_path_whose_duration_raises_is_refused() -> None:
@@ -162,7 +153,7 @@ def test_a_path_whose_duration_raises_is_refused() -> None:
         duration = property(raising(OwnError("who knows")), lambda self, value: None)  # type: ignore[assignment, arg-type]
 
     with pytest.raises(InvalidInputError, match="OwnError: who knows"):
-        built(paper_lift(), Strange(paper_lift()))
+        cooperative(paper_lift(), path=Strange(paper_lift()), dt=DT)
 
 
 def wrong_twists(path: ObjectPath) -> dict[str, Callable[[float], Array]]:
@@ -197,7 +188,7 @@ def test_twists_that_are_not_those_of_the_poses_are_refused(name: str) -> None:
         path = Own(dataclasses.replace(task, path=inner))
         path.spoil_twist = wrong_twists(inner)[name]
         with pytest.raises(InvalidInputError, match="its poses change by"):
-            built(task, path)
+            cooperative(task, path=path, dt=DT)
 
 
 def test_right_twists_are_accepted() -> None:
@@ -212,18 +203,18 @@ def test_right_twists_are_accepted() -> None:
                         task.path.pose(0.0), translation=0.3 * rng.standard_normal(3),
                         rotation=turn * rng.uniform(-1.0, 1.0, 3), duration=duration, time_law=law,
                     )  # fmt: skip
-                    built(task, Own(dataclasses.replace(task, path=line)))
+                    cooperative(task, path=Own(dataclasses.replace(task, path=line)), dt=DT)
         jumping = Own(task)
         jumping.since = 0.5 * task.path.duration
         jumping.spoil = lambda clock, task=task: task.path.pose(clock) * pin.SE3(np.eye(3), np.array([0.0, 0.0, 0.05]))
-        built(task, jumping)
+        cooperative(task, path=jumping, dt=DT)
 
 
 @pytest.mark.slow
 def test_follow_refuses_a_broken_path_and_the_old_one_goes_on() -> None:
     for kernel in KERNELS:
         task = limited(mixed_cell(), 10.0)
-        moving = built(task, task.path, kernel)
+        moving = cooperative(task, kernel, path=task.path, dt=DT)
         moving.reset(task.q_start)
         for _ in range(40):
             moving.step()
@@ -238,7 +229,7 @@ def test_follow_refuses_a_broken_path_and_the_old_one_goes_on() -> None:
 def test_reset_on_a_path_that_fails_by_then_is_a_named_error() -> None:
     task = paper_lift()
     path = Own(task)
-    controller = built(task, path)
+    controller = cooperative(task, path=path, dt=DT)
     spoiled(path, "raises its own")
     with pytest.raises(InvalidInputError, match="OwnError: no data"):
         controller.reset(task.q_start)
@@ -279,7 +270,7 @@ def test_a_path_that_breaks_in_motion_holds_and_goes_on(kernel: str, known_ahead
     wrong, cases, longest, chain = 0, 0, 0, 0.0
     for k, (make, acceleration) in enumerate(((paper_lift, np.inf), (paper_lift, 10.0), (mixed_cell, 10.0))):
         task = limited(make(), acceleration)
-        moving = built(task, Own(task, known_ahead=known_ahead), kernel)
+        moving = cooperative(task, kernel, path=Own(task, known_ahead=known_ahead), dt=DT)
         moving.reset(task.q_start)
         last = [moving.step() for _ in range(61)][-1]
         broken = list(itertools.product(WAYS, (0.0, 0.15)))
@@ -322,7 +313,7 @@ def test_a_path_that_fails_now_and_then(kernel: str, catalogue: Any, count: Any)
     for i in range(count(12)):
         task = limited((paper_lift, mixed_cell, dual_arm7)[i % 3](), (np.inf, 10.0)[i // 3 % 2])
         path = Own(task, known_ahead=i % 5 != 0)
-        controller = built(task, path, kernel)
+        controller = cooperative(task, kernel, path=path, dt=DT)
         controller.reset(task.q_start)
         steps = [controller.step()]
         often = float(rng.choice([0.01, 0.1, 0.3]))
@@ -355,7 +346,7 @@ def test_a_path_that_jumps_stops_by_name_or_is_caught_up_with(kernel: str, catal
                 path.since = 0.5 * task.path.duration
                 jump = pin.SE3(pin.exp3(np.full(3, 0.3 * min(size, 1.0))), np.array([size, 0.0, 0.0]))
                 path.spoil = lambda clock, task=task, jump=jump: jump * task.path.pose(clock)
-                controller = built(task, path, kernel)
+                controller = cooperative(task, kernel, path=path, dt=DT)
                 controller.reset(task.q_start)
                 steps = [controller.step()]
                 while len(steps) < 701 and not (len(steps) > 1 and steps[-1].finished):
@@ -402,7 +393,7 @@ def test_corners_that_are_not_told(catalogue: Any, count: Any) -> None:
         path = Kinked(task.path.pose(0.0), rng, slight=i % 2 == 1)
         if not check_path(task.cell, task.grasp, path, q_start=task.q_start).feasible:
             continue
-        controller, run = built(task, path), run + 1
+        controller, run = cooperative(task, path=path, dt=DT), run + 1
         controller.reset(task.q_start)
         steps = [controller.step()]
         while len(steps) < 1501 and not (len(steps) > 1 and steps[-1].finished):

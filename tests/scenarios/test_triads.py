@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from marks import slow_but_first
 
 from coopqp import QPController, simulate
 from coopqp.baselines import PseudoInverseController
 from coopqp.scenarios import abb_lift, kuka_lift, mixed_lift, paper_lift
-from coopqp.simulation import judge, read_run
+from coopqp.simulation import evaluate, read_run
 from coopqp.studies import Placer
 
 #: Baseline's ε_p at N = 400 [mm], least σ_min, and least joint margin [deg]; see docs/howto/bases.md.
@@ -20,7 +21,7 @@ TRIADS = {
 }
 
 
-@pytest.mark.parametrize("name", TRIADS)
+@pytest.mark.parametrize("name", slow_but_first(TRIADS))
 def test_the_lift_ends_and_the_baseline_drifts_as_with_the_papers_arms(name: str) -> None:
     make, drift, *_ = TRIADS[name]
     lift = make()
@@ -31,7 +32,7 @@ def test_the_lift_ends_and_the_baseline_drifts_as_with_the_papers_arms(name: str
         assert run.finished
         finest[kind] = readings
         if kind is QPController:
-            assert all(finding.holds for finding in judge(lift.cell, run, readings))
+            assert all(finding.holds for finding in evaluate(lift.cell, run, readings))
     assert finest[PseudoInverseController].eps_p_mm.max() == pytest.approx(drift, abs=1e-3)
     assert finest[QPController].chain_mm.max() < 1e-3  # 1 µm; 1.6e-6 mm were measured
     # The drift is of first order: half the steps, twice the drift.

@@ -14,18 +14,13 @@ from coopqp import ForceController, Grasp, InvalidInputError, QPController, Robo
 from coopqp.errors import UnknownNameError, UnreachableError
 from coopqp.forces import internal_wrenches
 from coopqp.model import CellState
-from coopqp.scenarios import Scenario, palm_box, paper_lift, torque_lift
+from coopqp.scenarios import Scenario, palm_box, torque_lift
 from coopqp.simulation import Disturbances, Monitored, PhysicsOptions, PhysicsPlant, engine_controller, engine_plant
 from coopqp.simulation.plants.drives import TorqueDrives
 from coopqp.spatial import Array
 
 OBSERVER = {"servo": "disturbance observer"}
 SENSED = {**OBSERVER, "wrist_sensors": True}
-
-
-@pytest.fixture(scope="module")
-def lift() -> Scenario:
-    return paper_lift(time_law="quintic")
 
 
 @pytest.fixture(scope="module")

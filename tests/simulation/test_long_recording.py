@@ -13,15 +13,13 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from hypothesis import given, settings, strategies as st
 from hypothesis.extra import numpy as arrays
 
 from coopqp import QPController, Recording, simulate
 from coopqp.scenarios import Scenario, at_limit
-from coopqp.simulation import Monitor, RecordingError, judge, read_run
-from coopqp.simulation.recording import recording as recordings
-from coopqp.simulation.recording import rows
+from coopqp.simulation import Monitor, RecordingError, evaluate, read_run
+from coopqp.simulation.recording import recording as recordings, rows
 from coopqp.visualization import curves
 
 ARRAYS = ("time", "q", "q_command", "velocity", "clock", "rate", "status", "reference", "T_object_tool")
@@ -150,14 +148,14 @@ def test_parts_are_judged_as_the_whole(run: Recording, scenario: Scenario, monke
     q[35] += 0.1
     for made in (run, replace(run, q_command=q, velocity=v)):
         whole = read_run(scenario.cell, made)
-        findings, verdict = judge(scenario.cell, made, whole), judged(made, scenario)
+        findings, verdict = evaluate(scenario.cell, made, whole), judged(made, scenario)
         with monkeypatch.context() as patched:
             patched.setattr(rows, "BLOCK_ROWS", 7)
             apart = read_run(scenario.cell, made)
             for field in fields(whole):
                 a, b = (getattr(readings, field.name) for readings in (whole, apart))
                 np.testing.assert_allclose(a, b, rtol=1e-12, atol=1e-13, err_msg=field.name)
-            assert judge(scenario.cell, made, whole) == findings
+            assert evaluate(scenario.cell, made, whole) == findings
             again = judged(made, scenario)
         assert again == verdict
         assert bool(again) == (made is not run)

@@ -12,6 +12,7 @@ import mujoco
 import numpy as np
 import pinocchio as pin
 import pytest
+from cells import grasp_at
 
 from coopqp import (
     Arm,
@@ -67,9 +68,9 @@ MJCF = """<mujoco model="small">
 
 def plant_of(cell: RobotCell, q: Array, **options: Any) -> PhysicsPlant:
     """A plant with arms that hold a small box at their present tool placements."""
-    T = CellState(cell, q).T_world_tool
-    grasp = Grasp(tuple(T[0].actInv(X) for X in T))
-    return PhysicsPlant(cell, grasp, object_size=(0.1, 0.2, 0.3), object_mass=3.0, options=PhysicsOptions(**options))
+    return PhysicsPlant(
+        cell, grasp_at(cell, q), object_size=(0.1, 0.2, 0.3), object_mass=3.0, options=PhysicsOptions(**options)
+    )
 
 
 # -- the model ---------------------------------------------------------------------------------------------------------

@@ -14,7 +14,7 @@ from coopqp import InvalidInputError, QPController, Recording, simulate
 from coopqp.cli.main import main
 from coopqp.errors import StartWarning
 from coopqp.scenarios import LOADED, Scenario, paper_lift
-from coopqp.simulation import KinematicPlant, PhysicsPlant, ViolationKind, check_run, judge, read_run, run_in_engine
+from coopqp.simulation import KinematicPlant, PhysicsPlant, ViolationKind, check_run, evaluate, read_run, run_in_engine
 from coopqp.simulation.evaluation.figures import run_figures
 
 #: The encoders of an arm whose base is off tell another place than that of its grasp.
@@ -35,7 +35,7 @@ def run(task: Scenario) -> Recording:
 
 
 def verdict(task: Scenario, run: Recording) -> dict[str, bool]:
-    return {f.question: f.holds for f in judge(task.cell, run, read_run(task.cell, run))}
+    return {f.question: f.holds for f in evaluate(task.cell, run, read_run(task.cell, run))}
 
 
 def test_what_is_recorded_is_what_the_engine_says(task: Scenario, run: Recording) -> None:

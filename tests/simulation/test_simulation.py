@@ -13,9 +13,9 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from hypothesis import given, settings, strategies as st
 from numpy.typing import NDArray
+from runs import of_the_paper
 
 import coopqp.simulation.recording.recording
 from coopqp import (
@@ -37,13 +37,9 @@ MANY = settings(max_examples=4 * settings().max_examples)
 ARRAYS = ("time", "q", "q_command", "velocity", "clock", "rate", "status", "reference", "T_object_tool")
 
 
-def controller(task: Scenario, steps: int = 20) -> PseudoInverseController:
-    return PseudoInverseController(task.cell, task.grasp, task.path, dt=task.path.duration / steps)
-
-
 @pytest.fixture(scope="module")
 def run(paper: Scenario) -> Recording:
-    return simulate(controller(paper), q_start=paper.q_start, metadata={"who": "the tests", "N": 20})
+    return simulate(of_the_paper(paper, 20), q_start=paper.q_start, metadata={"who": "the tests", "N": 20})
 
 
 def same(a: Recording, b: Recording) -> bool:
@@ -83,7 +79,7 @@ def test_a_run_is_recorded(paper: Scenario, run: Recording) -> None:
 
 
 def test_the_loop_is_the_controller_stepped(paper: Scenario, run: Recording) -> None:
-    made = controller(paper)
+    made = of_the_paper(paper, 20)
     made.reset(paper.q_start)
     for i in range(20):
         step = made.step()
@@ -95,7 +91,7 @@ def test_callbacks_see_every_step(paper: Scenario) -> None:
     seen: list[ControlStep] = []
     progress: list[tuple[int, int]] = []
     simulate(
-        controller(paper),
+        of_the_paper(paper, 20),
         q_start=paper.q_start,
         observe=seen.append,
         progress=lambda done, total: progress.append((done, total)),
@@ -107,10 +103,10 @@ def test_callbacks_see_every_step(paper: Scenario) -> None:
 
 
 def test_duration_and_settling(paper: Scenario) -> None:
-    cut = simulate(controller(paper), q_start=paper.q_start, duration=1.5)
+    cut = simulate(of_the_paper(paper, 20), q_start=paper.q_start, duration=1.5)
     assert cut.n_steps == 10
     assert not cut.finished
-    longer = simulate(controller(paper), q_start=paper.q_start, settle=0.3)
+    longer = simulate(of_the_paper(paper, 20), q_start=paper.q_start, settle=0.3)
     assert longer.time[-1] == pytest.approx(3.3, abs=0.151)
     assert longer.finished
     assert not longer.velocity[20:].any()
@@ -155,8 +151,8 @@ def test_a_plant_in_between_is_what_is_measured(paper: Scenario) -> None:
             self.q = self.q + 0.5 * (step.q_next - self.q)
             return self.q
 
-    lagged = simulate(controller(paper), Lagging(), q_start=paper.q_start)
-    ideal = simulate(controller(paper), KinematicPlant(paper.cell), q_start=paper.q_start)
+    lagged = simulate(of_the_paper(paper, 20), Lagging(), q_start=paper.q_start)
+    ideal = simulate(of_the_paper(paper, 20), KinematicPlant(paper.cell), q_start=paper.q_start)
     assert np.array_equal(lagged.q_command, ideal.q)
     assert np.array_equal(lagged.q[1], 0.5 * (ideal.q[0] + ideal.q[1]))
     assert not np.array_equal(lagged.q, lagged.q_command)
@@ -181,7 +177,7 @@ def test_a_plant_in_between_is_what_is_measured(paper: Scenario) -> None:
 def test_bad_input(paper: Scenario, arguments: dict[str, Any], says: str) -> None:
     steps: list[ControlStep] = []
     with pytest.raises(InvalidInputError) as caught:
-        simulate(controller(paper), **{"q_start": paper.q_start, "observe": steps.append, **arguments})
+        simulate(of_the_paper(paper, 20), **{"q_start": paper.q_start, "observe": steps.append, **arguments})
     assert says in str(caught.value)
     assert not steps, "refused before anything moves"
 

@@ -8,8 +8,7 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
+from hypothesis import given, strategies as st
 
 from coopqp import ForceController, InvalidInputError, QPController, simulate
 from coopqp.forces import Grip, internal_wrenches, palm_use

@@ -5,16 +5,14 @@ from __future__ import annotations
 import dataclasses
 import importlib.util
 import json
-import subprocess
-import sys
 import textwrap
 from collections.abc import Callable, Iterator
 from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
+from hypothesis import given, strategies as st
+from processes import output
 
 from coopqp import InvalidInputError
 from coopqp.errors import MissingExtraError, UnknownNameError
@@ -510,15 +508,7 @@ _INVALID = """
 @pytest.mark.parametrize("name", EVERY)
 def test_data_that_hang_solvers(name: str) -> None:
     """NaN, infinities and overflow in every array. The test uses another process: ProxQP alone would hang."""
-    run = subprocess.run(
-        [sys.executable, "-c", textwrap.dedent(_INVALID), name],
-        capture_output=True,
-        text=True,
-        timeout=120,
-        check=False,
-    )
-    assert run.returncode == 0, run.stderr
-    results = json.loads(run.stdout.splitlines()[-1])
+    results = json.loads(output("-c", textwrap.dedent(_INVALID), name).splitlines()[-1])
     harmless = {("l", "-inf"), ("lb", "-inf"), ("u", "inf"), ("ub", "inf"), ("u", "1e+200"), ("ub", "1e+200")}
     assert len(results) == 2 * 9 * 4
     times = []
@@ -804,8 +794,7 @@ def test_import_is_light() -> None:
         heavy = {"osqp", "proxsuite", "daqp", "qpsolvers", "scipy"}
         print(sorted(heavy & (set(sys.modules) - before)))
     """
-    run = subprocess.run([sys.executable, "-c", textwrap.dedent(code)], capture_output=True, text=True, check=True)
-    assert run.stdout.strip() == "[]"
+    assert output("-c", textwrap.dedent(code)).strip() == "[]"
 
 
 def test_names() -> None:

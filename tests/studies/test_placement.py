@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 import pytest
+from places import DOCS
 
 from coopqp import CollisionScene, QPController, find_start, simulate
 from coopqp.cli import main as cli
@@ -17,7 +18,7 @@ from coopqp.scenarios import paper_lift
 from coopqp.studies import CellPlaced, Goals, Placer, StudyError, load_place_study
 
 LIFT = paper_lift()
-EXAMPLE = Path(__file__).parents[2] / "docs" / "examples" / "studies" / "h_and_b.toml"
+EXAMPLE = DOCS / "examples" / "studies" / "h_and_b.toml"
 
 
 @pytest.fixture(scope="module")

@@ -19,18 +19,27 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
+from hypothesis import given, strategies as st
 
 from coopqp import CoopqpError, simulate
 from coopqp.baselines import PseudoInverseController
-from coopqp.cli import main as cli
-from coopqp.cli import terminal
+from coopqp.cli import main as cli, terminal
 from coopqp.errors import MissingExtraError, OutputError
+from coopqp.files import RenamedKeyWarning
 from coopqp.scenarios import paper_lift
 from coopqp.simulation import read_run
-from coopqp.studies import Cluster, Engine, EngineError, Local, Study, StudyError, load_study, run_rows, sweep
-from coopqp.studies import engines as engines_module
+from coopqp.studies import (
+    Cluster,
+    Engine,
+    EngineError,
+    Local,
+    Study,
+    StudyError,
+    engines as engines_module,
+    load_study,
+    run_rows,
+    sweep,
+)
 from coopqp.studies.columns import FIGURES
 from coopqp.studies.drawing import DisturbancesTable, disturbances
 from coopqp.studies.journal import Journal, read_journal
@@ -165,6 +174,17 @@ def test_the_figures_of_a_row_are_those_of_the_run(tmp_path: Path) -> None:
     assert row["margin_deg"] == np.rad2deg(room.min())
     assert {*row} == {"outcome", "reason", "status", "finished", "verdict", *FIGURES}
     assert (row["outcome"], row["verdict"], row["steps"]) == ("ok", "no", 40)
+
+
+def test_a_study_with_names_of_version_01_gives_the_rows_of_the_new_names(tmp_path: Path) -> None:
+    old = 'name = "s"\nscenario = "paper_lift"\n[axes]\n"controller.weights.comfort" = [1e-6, 1e-5]\n'
+    file = study_file(tmp_path, old)
+    with pytest.warns(RenamedKeyWarning, match=r"comfort is now controller\.weights\.posture"):
+        study = load_study(file)
+    with pytest.warns(RenamedKeyWarning):
+        settings, _ = study.settings(study.row(1).values)
+    assert settings.controller.weights.posture == 1e-5
+    assert study.varied == ("controller.weights.comfort",)
 
 
 def test_a_run_that_takes_too_long_is_a_row_that_failed(tmp_path: Path) -> None:

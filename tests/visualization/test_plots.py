@@ -14,9 +14,9 @@ import pytest
 from marks import slow_unless
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.text import Text
+from runs import of_the_paper
 
 from coopqp import Arm, InvalidInputError, Recording, RobotCell, simulate
-from coopqp.baselines import PseudoInverseController, PseudoInverseOptions
 from coopqp.errors import MissingExtraError, OutputError
 from coopqp.scenarios import Scenario, paper_lift
 from coopqp.visualization import plots, style
@@ -29,14 +29,7 @@ def lift() -> Scenario:
 
 
 def run(lift: Scenario, steps: int, **options: str) -> Recording:
-    controller = PseudoInverseController(
-        lift.cell,
-        lift.grasp,
-        lift.path,
-        dt=lift.path.duration / steps,
-        options=PseudoInverseOptions(**options),  # type: ignore[arg-type]
-    )
-    return simulate(controller, q_start=lift.q_start)
+    return simulate(of_the_paper(lift, steps, **options), q_start=lift.q_start)
 
 
 @pytest.fixture(scope="module")

@@ -25,7 +25,7 @@ from coopqp import (
 )
 from coopqp.errors import MissingExtraError, OutputError
 from coopqp.scenarios import Scenario
-from coopqp.simulation import RecordingError, SceneError, Tolerances, describe_object, judge, read_run
+from coopqp.simulation import RecordingError, SceneError, Tolerances, describe_object, evaluate, read_run
 from coopqp.simulation.evaluation.figures import run_figures, worst_status
 from coopqp.visualization import write_report
 from coopqp.visualization.report import report_html
@@ -266,7 +266,7 @@ def test_errors_of_rounding_are_said_and_their_tolerances_drawn(
     figures = run_figures(paper.cell, recording, replace(readings, eps_o_deg=small))
     assert (figures["largest ε_p"], figures["largest ε_o"]) == ("below 1e-9 mm", "below 1e-9°")
     quiet = replace(readings, chain_deg=small, object_deg=np.full(41, 0.1))
-    answers = [finding.answer for finding in judge(paper.cell, recording, quiet)]
+    answers = [finding.answer for finding in evaluate(paper.cell, recording, quiet)]
     assert answers[-2] == "below 1e-9 mm and below 1e-9° (asked: 0.1 mm, 0.1°)"
     assert answers[-1] == "below 1e-9 mm and within 0.1° (asked: 1 mm, 0.5°)"
 
@@ -296,7 +296,7 @@ def test_speeding_up_from_rest_and_braking_at_the_end_are_part_of_a_good_run(
 
 
 def verdict(cell: RobotCell, recording: Recording, **tolerances: float) -> list[tuple[bool, str]]:
-    findings = judge(cell, recording, read_run(cell, recording), tolerances=Tolerances(**tolerances))
+    findings = evaluate(cell, recording, read_run(cell, recording), tolerances=Tolerances(**tolerances))
     return [(f.holds, f.answer) for f in findings]
 
 

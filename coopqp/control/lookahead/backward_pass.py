@@ -1,9 +1,9 @@
-"""How fast the object may be at a knot: linear programs of two variables, z = σ² and u = σ̇.
+"""How fast the object may be at a grid point: linear programs of two variables, z = σ² and u = σ̇.
 
 Between two knots the joints move at ``q′σ`` and accelerate at ``q′u + q″z``; z changes by 2u per second of clock. From
 a knot with z the object has to be able to reach the next one with at most K there, within the accelerations. Unknown
 changes of q″ between the knots count as a share e of its known changes. The largest such z is K here: a backward pass,
-as in TOPP-RA [Pham & Pham, 2018], over the known horizon.
+as in TOPP-RA [Pham & Pham, 2018], over the known horizon. The core's counterpart is ``sharing.cpp``.
 """
 
 from __future__ import annotations
@@ -38,13 +38,13 @@ class Interval(NamedTuple):
 
 
 class Share(NamedTuple):
-    """Largest z, how it follows K at the next knot, and what makes it.
+    """The largest z at a knot, its slope over K at the next knot, and the joint that limits it.
 
     Attributes:
         square: z.
-        gain: slope of z over K at the next knot; 0 where K there does not make z.
+        gain: slope of z over K at the next knot; 0 where K there does not limit z.
         until: K at the next knot up to which this is the slope.
-        joint: index of the joint whose acceleration makes z, or helps to; −1 if none does.
+        joint: index of the joint whose acceleration limits z, alone or together with K ahead; −1 if none does.
     """
 
     square: float
@@ -54,7 +54,7 @@ class Share(NamedTuple):
 
     @property
     def ahead(self) -> bool:
-        """Whether K at the next knot makes z."""
+        """Whether K at the next knot limits z."""
         return self.gain > 0.0
 
 
@@ -120,8 +120,8 @@ def _largest(a: Array, b: Array, c: Array, cap: float, *, each: int) -> Share:
     least_c, least_b = float(low_c[lower]), float(low_b[lower])  # u = least_c − least_b z on that lower bound
     two = float(a[-1])
     leaves = np.concatenate([high_b - least_b, least_b - low_b])
-    room = np.concatenate([high_c - least_c, least_c - low_c])
+    slack = np.concatenate([high_c - least_c, least_c - low_c])
     leaves[len(up) - 1] = 0.0  # the line of K ahead moves along
     limits = leaves > 0.0
-    end = max(min(top, float((room[limits] / leaves[limits]).min(initial=np.inf))), square)
+    end = max(min(top, float((slack[limits] / leaves[limits]).min(initial=np.inf))), square)
     return Share(square, 1.0 / (1.0 - two * least_b), end + two * (least_c - least_b * end), which)

@@ -1,4 +1,7 @@
-"""The chain ahead of the clock: inverse kinematics and bounds of the rate at one clock, as a knot."""
+"""The closed chain ahead of the clock: inverse kinematics and bounds of the rate at one clock, as a grid point.
+
+The core's counterpart is ``chain_ahead.cpp``.
+"""
 
 from __future__ import annotations
 
@@ -56,6 +59,14 @@ KnotBound = Callable[[float, Array, Array, Array, float], KnotBounds]
 Evade = Callable[[Array, Array], Array]
 
 
+class _NewtonStep(NamedTuple):
+    """Errors of the arms (N, 6) at a configuration, Newton's step from there, and q′ (nv,)."""
+
+    errors: Array
+    step: Array
+    slope: Array
+
+
 class LookAheadTrouble(Exception):  # noqa: N818
     """A user's path or a further constraint fails ahead of the clock. The extension waits; the next step asks again."""
 
@@ -95,9 +106,6 @@ class ClosedChainAhead:
         #: The joints that move the tools, arm by arm, and the first index of each arm.
         self._moving = np.concatenate(chain.moving_columns)
         self._starts = np.cumsum([0, *(len(columns) for columns in chain.moving_columns[:-1])]).tolist()
-        self._moving_room = plan.room[self._moving]
-        self._step, self._slope = np.zeros(chain.nv), np.zeros(chain.nv)
-        self._errors = np.zeros((chain.n_arms, 6))
         self.forget()
 
     def forget(self) -> None:
@@ -114,13 +122,10 @@ class ClosedChainAhead:
         self.blind = self._beyond_few_joints(errors)
         if not np.abs(errors).max() < 1e-6 and not self.blind:
             arm = int(np.abs(errors).max(axis=1).argmax())
-            self._slope[:] = 0.0
             reach = BindingLimit(self._cell.arm_names[arm], "", LimitKind.REACH)
-            return self._knot_at(clock, q, None)._replace(cap=0.0, binding=reach)
-        if self._newton_step(clock, q, before=0.0):
-            return self._knot_at(clock, q, None)
-        self._slope[:] = 0.0
-        return self._knot_at(clock, q, None)
+            return self._knot_at(clock, q, np.zeros(self._chain.nv), None)._replace(cap=0.0, binding=reach)
+        step = self._newton_step(clock, q, before=0.0)
+        return self._knot_at(clock, q, np.zeros(self._chain.nv) if step is None else step.slope, None)
 
     def attempt(self, last: GridPoint, h: float) -> Generator[None, None, GridPoint | None]:
         """The chain at ``last.clock + h``, or None if Newton's method or the joints' slopes do not follow."""
@@ -128,20 +133,21 @@ class ClosedChainAhead:
         q = self._cell.moved(last.q, self._expected(last, h))
         for _ in range(MOST_TRIES):
             yield
-            if not self._newton_step(clock, q):
+            step = self._newton_step(clock, q)
+            if step is None:
                 return None
-            farthest = float(np.abs(self._step).max())
+            farthest = float(np.abs(step.step).max())
             if not farthest < options.joint_step:
                 return None
-            q = self._cell.moved(q, self._step)
+            q = self._cell.moved(q, step.step)
             if farthest < CONVERGED:
                 break
         else:
             return None
-        if self._beyond_few_joints(self._errors):
+        if self._beyond_few_joints(step.errors):
             self.blind = True
             return None
-        knot = self._knot_at(clock, q, last)
+        knot = self._knot_at(clock, q, step.slope, last)
         if not knot.cap > 0.0:
             return None  # numbers overflow
         if h > options.shortest and not h * knot.fastest <= 1.5 * options.joint_step:
@@ -173,14 +179,12 @@ class ClosedChainAhead:
         Joint speeds do not tell the distance: on a way along the end no joint is fast. Within the distance that the
         joints cover in two steps, a step would miss the end. Past it Newton's method is on another branch.
         """
-        rooms, now, then = knot.rooms, knot.edges, last.edges
-        if rooms.item(rooms.argmin()) < 1.0 and ((rooms < 1.0) & (rooms < last.rooms)).any():
-            return True
-        ways = np.maximum.reduceat(np.maximum(np.abs(now), np.abs(then)), self._starts)
-        near = BRANCH_WAY * self._options.joint_step
-        if not ways.item(ways.argmin()) < near:
-            return False
-        return bool(((ways < near) & (np.add.reduceat(now * then, self._starts) < 0.0)).any())
+        now, then = knot.to_reach_end, last.to_reach_end
+        too_close = (knot.steps_to_reach_end < 1.0) & (knot.steps_to_reach_end < last.steps_to_reach_end)
+        near = np.maximum.reduceat(np.maximum(np.abs(now), np.abs(then)), self._starts)
+        turned_round = np.add.reduceat(now * then, self._starts) < 0.0
+        passed = (near < BRANCH_WAY * self._options.joint_step) & turned_round
+        return bool((too_close | passed).any())
 
     def _bends_slowly(self, knot: GridPoint, last: GridPoint) -> bool:
         """Whether q″ has changed by a small share of the accelerations since the interval before."""
@@ -196,21 +200,21 @@ class ClosedChainAhead:
         """A knot under the further constraints; None where they allow no rate."""
         if self._bound is None:
             return knot
-        room = self._bound(knot.clock, knot.q, knot.slope, knot.curvature, knot.span)
-        if not room.cap > 0.0:
-            self.beyond, self.beyond_at = room.binding, knot.clock
+        bounds = self._bound(knot.clock, knot.q, knot.slope, knot.curvature, knot.span)
+        if not bounds.cap > 0.0:
+            self.beyond, self.beyond_at = bounds.binding, knot.clock
             return None
-        if room.cap < knot.cap:
-            knot = knot._replace(cap=room.cap, binding=room.binding)
-        return knot._replace(fall=room.decrease, rise=room.rise)
+        if bounds.cap < knot.cap:
+            knot = knot._replace(cap=bounds.cap, binding=bounds.binding)
+        return knot._replace(fall=bounds.decrease, rise=bounds.rise)
 
     def _beyond_few_joints(self, errors: Array) -> bool:
         """Whether the remaining errors (N, 6) are too large for arms with fewer than six joints."""
         few = self._chain.deficient
         return bool(few) and not np.abs(errors[list(few)]).max() < _FOLLOWED
 
-    def _newton_step(self, clock: float, q: Array, *, before: float = JUST_BEFORE) -> bool:
-        """Newton's step from ``q`` to the pose at ``clock``, and q′ there; False if singular.
+    def _newton_step(self, clock: float, q: Array, *, before: float = JUST_BEFORE) -> _NewtonStep | None:
+        """Newton's step from ``q`` to the pose at ``clock``, and q′ there; None if singular.
 
         q′ is that for the twist a moment ``before`` the clock [s], which tells the sides of a jump apart.
         """
@@ -219,23 +223,21 @@ class ClosedChainAhead:
         twist = None if pose is None else path.twist(max(min(clock, self._duration) - before, 0.0))
         if pose is None or twist is None:
             raise LookAheadTrouble(path.problem)
-        errors = self._errors = chain.errors(chain.carried(q), pose)
-        if not float(np.abs(errors).max()) < np.inf:
-            return False
+        errors = chain.errors(chain.carried(q), pose)
+        if not np.abs(errors).max() < np.inf:
+            return None
         chain.linearise(q, about=pose.translation)
         to_world = for_twists(pose.rotation)
-        self._step = step = chain.joint_velocities(-errors @ to_world.T)
+        step = chain.joint_velocities(-errors @ to_world.T)
         slope = chain.joint_columns((to_world @ twist)[:, None])[:, 0]
         if chain.redundancy:
-            slope += chain.null_part(
-                self._posture.velocity(q) if path.elbows is None else self.elbow_velocity(clock, q)
-            )
+            elbows_led = path.elbows is not None
+            slope += chain.null_part(self.elbow_velocity(clock, q) if elbows_led else self._posture.velocity(q))
             if self._evade is not None:
                 slope = self._evade(q, slope)
-            if self._path.elbows is None:
-                self._avoidance.lead_away(self._cell.positions(q), slope)
-        self._slope = slope
-        return bool(step @ step + slope @ slope < np.inf)
+            if not elbows_led:
+                slope = self._avoidance.led_away(self._cell.positions(q), slope)
+        return _NewtonStep(errors, step, slope) if step @ step + slope @ slope < np.inf else None
 
     @property
     def led(self) -> bool:
@@ -247,12 +249,13 @@ class ClosedChainAhead:
         elbows = self._path.elbows
         assert elbows is not None
         x, slope = elbows.at(clock)[0], elbows.at(clock + 0.5 * span)[1]
-        wish: Array = slope + ELBOW_GAIN * pin.difference(self._cell.model, q, self._cell.configuration_of(x))
-        return wish
+        reference: Array = slope + ELBOW_GAIN * pin.difference(self._cell.model, q, self._cell.configuration_of(x))
+        return reference
 
-    def _knot_at(self, clock: float, q: Array, last: GridPoint | None) -> GridPoint:
-        """Bounds at a configuration on the path, from the slopes there (of the last Newton step) and those before."""
-        slope, edges = self._slope.copy(), self._chain.edges()[self._moving]
+    def _knot_at(self, clock: float, q: Array, slope: Array, last: GridPoint | None) -> GridPoint:
+        """Bounds at a configuration on the path, from the slopes there and at the last grid point."""
+        to_reach_end = self._chain.to_reach_end()[self._moving]
+        steps_to_end = np.abs(to_reach_end) / self._plan.room[self._moving]
         before, span = (slope, 1.0) if last is None else (last.slope, clock - last.clock)
         speed, curvature = np.abs(slope), (slope - before) / span
         bend = np.abs(curvature)
@@ -261,14 +264,10 @@ class ClosedChainAhead:
         j_speed, j_bend = int(use_speed.argmax()), int(use_bend.argmax())
         by_speed, by_bend = float(use_speed[j_speed]) ** 2, float(use_bend[j_bend])
         # Without acceleration limits the step itself finds the cap by speed; by curvature it changes slowly.
-        cap = 1.0 / max(by_speed if self._plan.accelerates else by_bend, 1.0)
-        binding = None
-        if cap < 1.0:
-            binding = (
-                self._cell.joint_limit(j_speed, LimitKind.VELOCITY)
-                if self._plan.accelerates
-                else self._cell.joint_limit(j_bend, LimitKind.ACCELERATION)
-            )
+        if self._plan.accelerates:
+            cap, joint, kind = 1.0 / max(by_speed, 1.0), j_speed, LimitKind.VELOCITY
+        else:
+            cap, joint, kind = 1.0 / max(by_bend, 1.0), j_bend, LimitKind.ACCELERATION
         x = self._cell.positions(q)
         return GridPoint(
             clock=clock,
@@ -278,18 +277,18 @@ class ClosedChainAhead:
             span=0.0 if last is None else span,
             cap=cap,
             uncapped=1.0 / max(by_speed, by_bend, 1.0),
-            binding=binding,
+            binding=self._cell.joint_limit(joint, kind) if cap < 1.0 else None,
             fastest=float(speed.max()),
             change=float((bend * span - self._plan.slope_change).max()),
-            edges=edges,
-            rooms=np.maximum.reduceat(np.abs(edges) / self._moving_room, self._starts),
+            to_reach_end=to_reach_end,
+            steps_to_reach_end=np.maximum.reduceat(steps_to_end, self._starts),
             inside=bool(((x <= self._high) & (x >= self._low)).all()),
         )
 
     def corner(self, knot: GridPoint) -> GridPoint:
         """A knot where the twist jumps: slopes after it, and the rate at which the joints can take the jump."""
-        moves = self._newton_step(knot.clock + 1e-9, knot.q)
-        after = self._slope.copy() if moves else np.zeros_like(knot.slope)
+        step = self._newton_step(knot.clock + 1e-9, knot.q)
+        after = np.zeros_like(knot.slope) if step is None else step.slope
         cap, binding = knot.cap, knot.binding
         if self._plan.accelerates:
             use_speed = np.abs(after) / self._plan.speed

@@ -1,7 +1,7 @@
-"""Extension of the horizon: knots as far on as the chain can be followed, one Newton step at a time.
+"""Extension of the horizon: grid points as far on as the chain can be followed, one Newton step at a time.
 
 The extension ends at a position limit, at an impassable singularity, at the end of the reach, where a constraint
-allows no rate, and at the path's end.
+allows no rate, and at the path's end. The core's counterpart is ``growth.cpp``.
 """
 
 from __future__ import annotations
@@ -275,8 +275,8 @@ class HorizonExtension:
         """Why the chain cannot be followed past a knot: a user's path jumps there, or an arm's reach ends."""
         if self.jump is not None:
             return BindingLimit("", "", LimitKind.PATH_JUMP)
-        if last.rooms.min() < 2.0:
-            return BindingLimit(self._cell.arm_names[int(last.rooms.argmin())], "", LimitKind.REACH)
+        if last.steps_to_reach_end.min() < 2.0:
+            return BindingLimit(self._cell.arm_names[int(last.steps_to_reach_end.argmin())], "", LimitKind.REACH)
         return self._arm_limit(last, LimitKind.REACH)
 
     def _arm_limit(self, knot: GridPoint, kind: LimitKind) -> BindingLimit:

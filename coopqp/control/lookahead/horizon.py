@@ -1,4 +1,7 @@
-"""The known knots ahead of the clock, K at each of them, and the largest rate that K admits for a step."""
+"""The known grid points ahead of the clock, K at each of them, and the largest rate that K admits for a step.
+
+The core's counterpart is ``horizon.cpp``.
+"""
 
 from __future__ import annotations
 
@@ -28,8 +31,8 @@ class GridPoint(NamedTuple):
     binding: BindingLimit | None  # what makes the cap
     fastest: float  # largest |q′|
     change: float  # largest change of a slope since the knot before, less the change that is always allowed
-    edges: Array  # joint motion to where each arm's reach ends, of the joints that move the tools, arm by arm
-    rooms: Array  # the largest of them of each arm, as a multiple of what the joint needs (N,)
+    to_reach_end: Array  # joint motion to where each arm's reach ends, of the joints that move the tools, arm by arm
+    steps_to_reach_end: Array  # the largest of each arm, as a multiple of the joint's motion in two steps (N,)
     inside: bool  # all joints are inside their position limits
     corner: bool = False  # q′ jumps here
     fall: float = np.inf  # largest fall of σ by further constraints [1/s]
@@ -45,7 +48,7 @@ class GridPoint(NamedTuple):
 
 
 class Least(NamedTuple):
-    """The least K of a step.
+    """The least K along a step.
 
     Attributes:
         square: K.
@@ -213,10 +216,11 @@ class Horizon:
     # -- the rate of a step --------------------------------------------------------------------------------------
 
     def largest_rate(self, clock: float, dt: float, least: Least) -> tuple[float, GridPoint]:
-        """The largest rate below 1 that K admits for a step, and the knot that makes it; 0 is always admissible.
+        """Rate line search: the largest rate below 1 that K admits for a step, and the knot that limits it.
 
-        ``least`` is found at rate 1. K is linear between knots: the next guess is where σ² meets the line that makes
-        it, or half way. After a miss guesses stay shorter: beside a clock a small rate has few digits.
+        ``least`` is that of rate 1; rate 0 is always admissible. K is linear between knots: the next guess is where σ²
+        meets the line of the least K, or half way. After a miss guesses stay shorter: beside a clock a small rate has
+        few digits.
         """
         low, high, rate, short_of, cause = 0.0, 1.0, 1.0, SHORT_OF, least.cause
         for _ in range(MOST_GUESSES):

@@ -33,8 +33,8 @@ class PreviewOptions:
     curvature_share: Annotated[
         float,
         Doc(
-            "κ, share for z = σ² of a further constraint that bounds z and σ̇ at once; and of the planned "
-            "accelerations, where no acceleration is limited"
+            "κ: a further constraint that bounds z = σ² and σ̇ at once leaves this share of its bound to z; and the "
+            "path's curvature takes this share of the planned accelerations, where no acceleration is limited"
         ),
     ] = 0.5
     doubt: Annotated[
@@ -76,8 +76,8 @@ class PlanLimits:
         jump: change of velocity that a joint can take within one step, at a corner or at the path's end (nv,).
         slope_change: change of slope between knots that is always allowed (nv,).
         slope_cap: largest change of the rate [1/s].
-        room: way of each joint in two steps, from rest or at full speed, whichever is less: an arm stays further from
-            the end of its reach (nv,).
+        room: motion of each joint in two steps, from rest or at full speed, whichever is less: the least distance of
+            an arm from the end of its reach (nv,).
         accelerates: some joint has an acceleration limit.
     """
 
@@ -91,7 +91,7 @@ class PlanLimits:
 
     @staticmethod
     def of(cell: RobotCell, options: PreviewOptions, *, dt: float) -> PlanLimits:
-        """A share of the cell's limits.
+        """The shares of a cell's limits that the look-ahead plans with.
 
         A joint without acceleration limit may still not change its velocity so fast that a step's linearisation fails:
         it is planned with a change of full speed in a number of steps, and without speed cap, which the step itself

@@ -1,4 +1,4 @@
-"""The path ahead of the object's clock: where limits and singularities bind, and how fast the object may go.
+"""The look-ahead: where limits and singularities bind ahead of the object's clock, and how fast the object may go.
 
 Under acceleration limits no single step can keep both the chain and the path at a limit: all arms have to brake
 together, ahead of it. The preview runs the chain's own inverse kinematics ahead of the clock, knot by knot, and stores
@@ -6,7 +6,8 @@ the joints' derivatives with respect to the clock, ``q′ = A⁻¹ν`` and ``q�
 accelerate at ``q′σ̇ + q″σ²``. Speeds bound ``z = σ²`` at each knot. A backward pass over the knots finds K, the
 largest z from which the object can go on within the accelerations (see :mod:`coopqp.control.lookahead.backward_pass`),
 down to a stop at the end of the known horizon. The rate of a step keeps ``σ² ≤ K`` in its middle and at its end. It is
-path timing on a rolling horizon: as long as the object needs to stop, and no longer.
+path timing on a rolling horizon: as long as the object needs to stop, and no longer. The core's counterpart is
+``preview.cpp``.
 """
 
 from __future__ import annotations

@@ -31,31 +31,33 @@ class LimitAvoidance:
         self._low, self._high = limits.lower + LIMIT_MARGIN, limits.upper - LIMIT_MARGIN
         self._arms: list[npt.NDArray[np.intp]] = [c for c in chain.moving_columns if len(c) > 6]
 
-    def lead_away(self, positions: Array, slope: Array) -> None:
-        """Change the slopes (nv,) of the redundant arms in place at positions (nv,), where a joint nears a limit."""
+    def led_away(self, positions: Array, slope: Array) -> Array:
+        """Slopes (nv,) at positions (nv,), those of redundant arms changed where a joint nears a limit."""
+        slope = slope.copy()
         for columns in self._arms:
-            self._lead_arm(columns, positions[columns], slope)
+            slope[columns] = self._arm_led_away(columns, positions[columns], slope[columns])
+        return slope
 
-    def _lead_arm(self, columns: npt.NDArray[np.intp], x: Array, slope: Array) -> None:
+    def _arm_led_away(self, columns: npt.NDArray[np.intp], x: Array, own: Array) -> Array:
         scale = self._chain.scale[columns]
-        largest = float((np.abs(slope[columns]) / scale).max()) / TURNING_WAY
+        largest = float((np.abs(own) / scale).max()) / TURNING_WAY
         if not largest > 0.0:
-            return
+            return own
         up, down = largest * scale * (self._high[columns] - x), largest * scale * (self._low[columns] - x)
-        own = slope[columns]
         beyond = np.maximum(own - up, down - own) / scale
         for worst in np.argsort(-beyond, kind="stable").tolist():
             if not beyond[worst] > 0.0:
-                return
-            push = np.zeros_like(slope)
+                return own
+            push = np.zeros(self._chain.nv)
             push[columns[worst]] = 1.0
             way = self._chain.null_part(push)[columns]
             if way[worst] > LEADS:
                 break
         else:
-            return
+            return own
         moves = np.abs(way) > LEADS * way[worst]
         a, b = (down[moves] - own[moves]) / way[moves], (up[moves] - own[moves]) / way[moves]
         low, high = float(np.minimum(a, b).max()), float(np.maximum(a, b).min())
         z = 0.5 * (low + high) if low > high else min(max(0.0, low), high)
-        slope[columns] = own + z * way
+        led: Array = own + z * way
+        return led

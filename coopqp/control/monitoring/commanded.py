@@ -26,7 +26,7 @@ PARTED = "arms {arm} and {other} are commanded {mm:.2g} mm apart"
 
 @dataclass(eq=False)
 class Apart:
-    """What one look found.
+    """Distances of the arms in one sample.
 
     Attributes:
         distance: the largest distance of an arm's view of the object from the others' [m].
@@ -54,7 +54,7 @@ class ChainWatch:
         self._at_grasps, self._hold_from = grasp_lengths(grasp), math.inf if hold_from is None else hold_from
 
     def look(self, errors: Array, mismatch: Array | None, *, started: bool, held: bool) -> Apart:
-        """Look at the errors of the arms (N, 6).
+        """Compare the errors of the arms (N, 6) with each other.
 
         Args:
             errors: e_k.
@@ -73,8 +73,8 @@ class ChainWatch:
             left = min(max(float((away * mismatch).sum()) / square, 0.0), 1.0) if square > 0.0 else 0.0
             away = away - left * mismatch
             mismatch = left * mismatch if left * left * square > NO_MISMATCH**2 else None
-        away = away.dot(self._at_grasps)
-        distances = np.sqrt(np.einsum("ij,ij->i", away, away))
+        away = away @ self._at_grasps
+        distances = np.linalg.norm(away, axis=1)
         arm = int((distances * ALIKE >= distances.max()).argmax())
         distance = float(distances[arm]) * n / (n - 1.0)
         holds = not distance <= self._hold_from * (TOGETHER_AGAIN if held else 1.0)
@@ -92,7 +92,7 @@ def expected(mismatch: Array | None, asked: Array | None, closes: float) -> Arra
 
     Args:
         mismatch: the mismatch in the step; None for none.
-        asked: by how much the grasps were asked to shift before it, without the mean of all (N, 6); None for nothing.
+        asked: shift of the grasps before it, without the mean of all (N, 6); None for none.
         closes: share that the step takes away of all other errors.
     """
     if mismatch is None and asked is None:

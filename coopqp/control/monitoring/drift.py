@@ -36,17 +36,16 @@ class Drift:
     """
 
     def __init__(self, n: int, largest: float) -> None:
-        self._drift, self._lag, self._apart = np.zeros((n, 6)), np.zeros((n, 6)), np.zeros((n, 6))
-        self._largest = largest
-        #: The way of the arms in the last sample of rigid grips [rad or m].
-        self.way = 0.0
+        self._n, self._largest = n, largest
         self.reset()
 
     def reset(self) -> None:
         """Forget drift and lag."""
-        self._drift[:] = self._lag[:] = self._apart[:] = 0.0
+        self._drift, self._lag, self._apart = np.zeros((3, self._n, 6))
         self._speed, self._since = 0.0, 0.0
         self._last: Array | None = None
+        #: The motion of the arms in the last sample of rigid grips [rad or m].
+        self.way = 0.0
         self._bb, self._bc, self._cc = 0.0, 0.0, LAG**2  # variances and covariance of drift and lag
 
     def without(self, apart: Array, noise: float, commanded: Array, dt: float) -> Array:
@@ -69,40 +68,38 @@ class Drift:
         return apart - self._drift
 
     def followed(self, apart: Array, commanded: Array, dt: float) -> Array:
-        """Distances without a drift that follows them at once, by a share of the arms' way, and of time, at most.
+        """Distances without a drift that follows them at once, by a share of the arms' motion, and of time, at most.
 
-        For rigid grips, whose distances are closure errors: no lag is in them, but the object may grow.
+        For rigid grips, whose distances are loop residuals: no lag is in them, but the object may grow.
         """
         way = 0.0 if self._last is None else float(np.abs(commanded - self._last).max())
         self._last, self.way = commanded, way
         off = apart - self._drift
         fastest = float(np.abs(off).max())
-        self._drift += off * min((LARGEST_SLOPE * way + GROWS * dt) / max(fastest, 1e-300), 1.0)
-        np.minimum(np.maximum(self._drift, -self._largest, out=self._drift), self._largest, out=self._drift)
+        self._drift = self._drift + off * min((LARGEST_SLOPE * way + GROWS * dt) / max(fastest, 1e-300), 1.0)
+        self._drift = np.clip(self._drift, -self._largest, self._largest)
         return apart - self._drift
 
     def _update(self, apart: Array, noise: float, speed: float, most: float, dt: float) -> None:
         """One step of the filter; the drift grows by no more than ``most`` [m]."""
         new = dt / (SMOOTHING + dt)
-        self._apart += new * (apart - self._apart)
+        self._apart = self._apart + new * (apart - self._apart)
         self._speed += new * (speed - self._speed)
         s = self._speed
         self._bb += WANDER**2 * dt
         hb, hc = self._bb + self._bc * s, self._bc + self._cc * s  # P h with h = (1, s)
         scale = 1.0 / (hb + hc * s + (DRIFT_FLOOR**2 + noise**2) * DRIFT_SAMPLE / dt)
-        surprise = self._apart - self._drift - s * self._lag
-        change = scale * hb * surprise
-        drift = self._drift
-        back = change * (change * drift < 0.0)
-        shrunk = np.minimum(np.maximum(back, -np.abs(drift)), np.abs(drift))  # no farther than to 0
+        innovation = self._apart - self._drift - s * self._lag
+        change, drift = scale * hb * innovation, self._drift
+        towards_zero = np.where(change * drift < 0.0, change, 0.0)
+        shrunk = np.clip(towards_zero, -np.abs(drift), np.abs(drift))
         growth = change - shrunk
         fastest = float(np.abs(growth).max())
         too_fast = fastest > most
         if too_fast:
             growth *= most / fastest
-        drift += shrunk + growth
-        np.minimum(np.maximum(drift, -self._largest, out=drift), self._largest, out=drift)
-        self._lag += scale * hc * surprise
+        self._drift = np.clip(drift + shrunk + growth, -self._largest, self._largest)
+        self._lag = self._lag + scale * hc * innovation
         self._bb = max(self._bb - scale * hb * hb, 0.0)
         self._bc -= scale * hb * hc
         self._cc = max(self._cc - scale * hc * hc, LEAST_LAG**2)

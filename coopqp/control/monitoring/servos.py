@@ -14,11 +14,12 @@ alone does not see a stalled arm, whose forces are relaxed; the servos do.
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING, final
+from typing import final
 
 import numpy as np
 
 from coopqp.control.core.relax_plain import RELAXING, SENSORS_FINE, back_within_room, minding_scalars, minding_views
+from coopqp.control.monitoring.noise import noise_seen
 from coopqp.native.constants import (
     FEW_SAMPLES,
     HASTE_FILTER,
@@ -31,9 +32,6 @@ from coopqp.native.constants import (
     SOFTEST,
 )
 from coopqp.spatial import Array
-
-if TYPE_CHECKING:
-    pass
 
 
 @final
@@ -66,11 +64,11 @@ class ServoWatch:
         return bool(self._scalars.backs and self._scalars.sensor_fault == SENSORS_FINE)
 
     def way_back(self, rotation: Array, common: Array, dt: float) -> Array:
-        """The twist of the object with which it does, in its own frame (6,) [m/s, rad/s].
+        """The twist of the object that goes back, in its own frame (6,) [m/s, rad/s].
 
         Args:
             rotation: of the object on its path (3, 3).
-            common: how far it is from there (6,) [m, rad].
+            common: the object's error (6,) [m, rad].
             dt: length of the step [s].
         """
         way: Array = rotation.T @ self._views["push"][3]
@@ -90,11 +88,10 @@ class ServoWatch:
         return moved
 
     def hasten(self, velocity: Array, filtered: Array, dt: float) -> float:
-        """Take commanded velocities of the joints (nv,) [rad/s or m/s], ``dt`` [s] after the last.
+        """The largest acceleration of a joint of late [rad/s² or m/s²].
 
-        ``filtered`` (nv,) follows them.
-
-        Returns the largest acceleration of late [rad/s² or m/s²], filtered: a single step of arms that relax is none.
+        ``filtered`` (nv,) follows the commanded velocities (nv,) [rad/s or m/s] of a sample ``dt`` [s] after the last:
+        the acceleration is filtered, so that a single step of arms that relax is none.
         """
         change = (velocity - filtered) / (HASTE_FILTER + dt)
         filtered += dt * change
@@ -129,7 +126,7 @@ class ServoWatch:
             margin: noise floor, in root mean squares.
 
         Returns:
-            The rate that is left, the arm that is farthest off, and by how much [m].
+            The rate cap, the arm that is farthest from where its servos should stand, and its distance [m].
         """
         m, x = self._scalars, self._views
         if m.stage < RELAXING or m.sensor_fault != SENSORS_FINE:
@@ -137,9 +134,10 @@ class ServoWatch:
         off = (away + self._bent(rotation)) @ lengths
         fresh = dt / (filter_time + dt)
         noise = math.sqrt(dt / (2.0 * filter_time + dt)) * m.servo_noise  # this may be the first of a stall
-        m.servo_noise = self._noise_seen(off, dt)
+        samples = m.servo_samples = min(m.servo_samples + 1.0, NOISE_TIME / dt)
+        m.servo_noise = noise_seen(off, x["off_last"], x["off_step"], x["off_noise"], samples)
         x["off_servos"] += fresh * (off - x["off_servos"])
-        if m.servo_samples < FEW_SAMPLES:
+        if samples < FEW_SAMPLES:
             return 1.0, -1, 0.0
         apart = self._from_others @ x["off_servos"]
         drifted = apart - x["off_drift"]  # where the load is shared otherwise
@@ -154,20 +152,9 @@ class ServoWatch:
         return min(max((SERVO_HOLDS - worst) / (SERVO_HOLDS - SERVO_SLOWS), 0.0), 1.0), arm, float(far[arm])
 
     def _bent(self, rotation: Array) -> Array:
-        """By how much the arms stand off their commands for their wrenches, but for the sign (N, 6) [m, rad]."""
+        """Deflections of the servos under the wrenches, with the other sign (N, 6) [m, rad]."""
         m, x = self._scalars, self._views
         load = rotation.T @ np.array([m.weight_x, m.weight_y, m.weight_z])
         pushed = (x["unfed_of"] @ x["felt"].ravel() - x["carries"] @ load).reshape(-1, 6)
         bent: Array = np.einsum("kij,kj->ki", x["compliances"], pushed) / max(m.stiffer, SOFTEST)
         return bent
-
-    def _noise_seen(self, off: Array, dt: float) -> float:
-        """The noise [m, rms], from second differences."""
-        m, x = self._scalars, self._views
-        step = off - x["off_last"]
-        bend = step - x["off_step"]
-        x["off_last"][:], x["off_step"][:] = off, step
-        samples = m.servo_samples = min(m.servo_samples + 1.0, NOISE_TIME / dt)
-        if samples > 2.0:  # the first differences are with nothing
-            x["off_noise"] += (np.einsum("ij,ij->i", bend, bend) - x["off_noise"]) / max(samples - 2.0, 1.0)
-        return math.sqrt(float(x["off_noise"].max()) / 6.0)

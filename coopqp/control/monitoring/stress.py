@@ -37,10 +37,6 @@ from coopqp.spatial import Array
 _SCALE = np.array([1.0] * 3 + [TURN_LENGTH] * 3)
 
 
-#: Attributes that never change.
-_FIXED = ("_cell", "_chain", "_softness", "_delay", "_filter_time")
-
-
 @final
 class StressWatch:
     """Forces at the grasps from commanded and measured configurations, filtered.
@@ -71,13 +67,13 @@ class StressWatch:
         self._last: Array | None = None
         self._rest = 0.0
 
-    def memory(self) -> dict[str, Any]:
-        """The state of a copy."""
-        return {name: value for name, value in vars(self).items() if name not in _FIXED}
+    def memory(self) -> tuple[Any, ...]:
+        """The state of a copy; the rest is found anew from every sample."""
+        return self._deflection, self._way, self._last, self._rest
 
-    def restore(self, memory: dict[str, Any]) -> None:
+    def restore(self, memory: tuple[Any, ...]) -> None:
         """Go on from a copy of what :meth:`memory` returned."""
-        vars(self).update(memory)
+        self._deflection, self._way, self._last, self._rest = memory
 
     def soon(self, arm: int, limit: float) -> float:
         """What the force of an arm comes to soon at its pace, from half of a limit on [N]."""
@@ -91,7 +87,7 @@ class StressWatch:
         velocity = np.zeros(self._cell.nv) if self._last is None else pin.difference(model, self._last, commanded) / dt
         self._last = commanded
         off = pin.difference(model, measured, commanded) - self._delay * velocity
-        self._deflection += (1.0 - keep) * (off - self._deflection)
+        self._deflection = self._deflection + (1.0 - keep) * (off - self._deflection)
         chain.evaluate(measured, about=chain.carried(measured)[0].translation)
         C, bent = chain.compliances(self._softness), chain.twists(self._deflection)
         wrenches = servo_wrenches(C, bent)

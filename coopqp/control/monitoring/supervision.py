@@ -1,14 +1,15 @@
 """Supervision: comparison of measured with commanded configurations.
 
-An arm that lags or stalls pulls on the object that the others carry on. The watch compares, for every arm, the measured
-with the commanded pose of the object that it carries, and slows the object before the arms part too far.
-Deviations common to all arms do not count: they only displace the object.
+An arm that lags or stalls pulls on the object that the others carry on. The supervision compares, for every arm, the
+measured with the commanded pose of the object that it carries, and slows the object before the arms part too far.
+Deviations common to all arms do not count: they only displace the object. The core's counterpart is ``watch.cpp``.
 """
 
 from __future__ import annotations
 
 import math
 from collections import deque
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -18,6 +19,7 @@ from coopqp.checks import NOT_NUMBERS, as_floats, as_scalar
 from coopqp.constraints.cause import Cause
 from coopqp.control.monitoring.drift import Drift
 from coopqp.control.monitoring.lag import OFF_LAG, LagWatch, excess_cap, kept_samples, least_told
+from coopqp.control.monitoring.noise import noise_seen
 from coopqp.control.monitoring.options import SupervisionOptions
 from coopqp.control.monitoring.servos import ServoWatch
 from coopqp.control.monitoring.stress import StressWatch
@@ -59,21 +61,59 @@ def refused_dt(dt: float, low: float, high: float) -> str:
 _LEAST_REACH = 0.1
 
 
-#: Attributes of a Supervision that never change.
-_FIXED = (
-    "_cell", "_options", "_stress", "_turning", "_from_others", "_starts", "_moving", "_at_grasps", "_numbers",
-    "_first_numbers", "servos",
-)  # fmt: skip
+@dataclass(eq=False)
+class _State:
+    """What one sample hands to the next; deviations are lengths at the grasps (N, 6) [m].
+
+    Attributes:
+        deviation, away, step: of each arm from its command: filtered, in the last sample, and its last change.
+        noise, samples: mean square of second differences (N,) [m²], and the number of samples that it is taken over.
+        cap, arm: rate cap of the last sample, and the arm that made it, −1 for none.
+        stalled, widest: arms that have stalled (N,), and how far they were from their commands at most [rad or m].
+        past: positions of the moving joints, measured and commanded, of the last samples.
+        silence: time since an arm was last seen to follow its command [s].
+        drift, lag: of the arms from each other, and the common one; quiet: what noise makes of that one [m].
+        commanded: positions in the last sample (nv,); None before the first.
+        numbers, repeated: measured numbers of the last sample, and how often each arm's were repeated (N,).
+        far: samples in a row in which an arm was as far from the others as a fault needs.
+        pressed: the arms press too hard on the object.
+        velocity: commanded velocities of the joints, filtered (nv,).
+    """
+
+    deviation: Array
+    away: Array
+    step: Array
+    noise: Array
+    stalled: npt.NDArray[np.bool_]
+    widest: Array
+    repeated: npt.NDArray[np.intp]
+    past: deque[tuple[Array, Array]]
+    drift: Drift
+    lag: LagWatch
+    velocity: Array
+    quiet: float = 0.0
+    samples: float = 0.0
+    cap: float = 1.0
+    arm: int = -1
+    silence: float = 0.0
+    commanded: Array | None = None
+    numbers: Array | None = None
+    far: int = 0
+    pressed: bool = False
 
 
 class Supervision:
-    """Memory of the watch; one per controller, with steps of about ``dt`` [s]."""
+    """The watch of one controller, with steps of about ``dt`` [s].
+
+    Attributes:
+        servos: compares with the wrenches where forces are monitored; None where they are not.
+    """
 
     def __init__(self, cell: RobotCell, grasp: Grasp, options: SupervisionOptions, *, dt: float = math.inf) -> None:
         self._cell, self._options = cell, options
+        self._grasp, self._kept = grasp, kept_samples(options, dt)
         self._stress = _stress_watch(cell, grasp, options)
-        self._pressed = False
-        self._turning = np.flatnonzero(cell.continuous)
+        self._continuous = np.flatnonzero(cell.continuous)
         n = len(cell)
         #: Maps deviations of the arms to their differences from the mean of the others.
         self._from_others = (np.eye(n) - 1.0 / n) * (n / max(n - 1.0, 1.0))
@@ -81,53 +121,37 @@ class Supervision:
         self._starts = np.cumsum([0, *(len(c) for c in columns[:-1])]).tolist()
         #: The joints that move the tools, arm by arm.
         self._moving = np.concatenate(columns)
-        self._moves = np.zeros((3, len(self._moving)))
         self._at_grasps = grasp_lengths(grasp)
-        self._deviation, self._away, self._step = (np.zeros((n, 6)) for _ in range(3))
-        self._noise, self._samples, self._cap, self._arm = np.zeros(n), 0.0, 1.0, -1
-        self._stalled = np.zeros(n, dtype=bool)
-        self._widest = np.zeros(n)
         self._numbers, self._first_numbers = _numbers_of(cell, columns)
-        self._told: Array | None = None
-        self._past: deque[tuple[Array, Array]] = deque(maxlen=kept_samples(options, dt))
-        self._silence = 0.0
-        self._drift = Drift(n, options.let_in)
-        self._lag, self._quiet = LagWatch(grasp, self._at_grasps.item(5, 5)), 0.0
-        self._seen: Array | None = None
-        self._lost = np.zeros(n, dtype=int)
-        self._far = 0
-        #: Compares with the wrenches where forces are minded; None where they are not.
         self.servos: ServoWatch | None = None
-        #: Commanded velocities of the joints, filtered, for it (nv,).
-        self._velocity = np.zeros(cell.nv)
+        self.reset()
 
     def reset(self) -> None:
         """Forget."""
-        self._deviation[:] = self._away[:] = self._step[:] = 0.0
-        self._noise[:] = 0.0
-        self._samples, self._cap, self._arm = 0.0, 1.0, -1
-        self._stalled[:] = False
-        self._widest[:] = 0.0
-        self._past.clear()
-        self._silence, self._told, self._far = 0.0, None, 0
-        self._drift.reset()
-        self._lag.reset()
-        self._seen = None
-        self._lost[:] = 0
-        self._pressed = False
-        self._velocity = np.zeros(self._cell.nv)
+        n, still = len(self._cell), np.zeros((len(self._cell), 6))
+        self._s = _State(
+            deviation=still,
+            away=still.copy(),
+            step=still.copy(),
+            noise=np.zeros(n),
+            stalled=np.zeros(n, dtype=bool),
+            widest=np.zeros(n),
+            repeated=np.zeros(n, dtype=np.intp),
+            past=deque(maxlen=self._kept),
+            drift=Drift(n, self._options.let_in),
+            lag=LagWatch(self._grasp, self._at_grasps.item(5, 5)),
+            velocity=np.zeros(self._cell.nv),
+        )
         if self._stress is not None:
             self._stress.reset()
 
-    def memory(self) -> dict[str, Any]:
+    def memory(self) -> Any:
         """The state of a copy."""
-        own = {name: value for name, value in vars(self).items() if name not in _FIXED}
-        return own | {"stress": None if self._stress is None else self._stress.memory()}
+        return self._s, None if self._stress is None else self._stress.memory()
 
-    def restore(self, memory: dict[str, Any]) -> None:
+    def restore(self, memory: Any) -> None:
         """Go on from a copy of what :meth:`memory` returned."""
-        stress = memory.pop("stress")
-        vars(self).update(memory)
+        self._s, stress = memory
         if self._stress is not None:
             self._stress.restore(stress)
 
@@ -149,16 +173,16 @@ class Supervision:
         worst = int(np.abs(away).argmax())  # NaN wins
         if not math.isfinite(away.item(worst)):
             return q_command, f"q_measured[{worst}] is {measured[worst]}"
-        for i in self._cell.position_index[self._turning].tolist():
+        for i in self._cell.position_index[self._continuous].tolist():
             radius = math.hypot(measured.item(i), measured.item(i + 1))
             if abs(radius - 1.0) > CIRCLE_TOLERANCE:
                 return q_command, f"q_measured[{i}] and [{i + 1}] are no cosine and sine (norm {radius:.3g})"
             if radius != 1.0:
                 measured = measured.copy() if measured is q else measured  # the caller's array stays as it is
                 measured[i : i + 2] /= radius
-        if self._turning.size:
-            told = self._cell.positions(q_command)
-            away = self._positions(measured, told) - told
+        if self._continuous.size:
+            commanded = self._cell.positions(q_command)
+            away = self._positions(measured, commanded) - commanded
             worst = int(np.abs(away).argmax())
         far = abs(away.item(worst))
         if far > self._options.joint_jump:
@@ -167,13 +191,10 @@ class Supervision:
 
     def _positions(self, q: Array, near: Array | None) -> Array:
         """One position per joint (nv,) [rad or m]; those of continuous joints within half a turn of ``near`` (nv,)."""
-        if not self._turning.size:
-            return q
         x = self._cell.positions(q)
-        if near is None:
-            return x
-        turns = np.round((near[self._turning] - x[self._turning]) / (2.0 * np.pi))
-        x[self._turning] += 2.0 * np.pi * turns
+        if near is not None:
+            own = self._continuous
+            x[own] += 2.0 * np.pi * np.round((near[own] - x[own]) / (2.0 * np.pi))
         return x
 
     def watch(
@@ -192,36 +213,35 @@ class Supervision:
             measured, commanded: configurations at the same time (nq,).
             away: of the object as each arm carries it, measured from commanded, in its own frame (N, 6) [m, rad].
             dt: time since the last sample [s].
-            velocity, rotation: commanded velocities of the joints (nv,) and rotation of the object (3, 3); where
-                forces are minded only.
+            velocity, rotation: commanded velocities of the joints (nv,) and rotation of the object (3, 3); only where
+                forces are monitored.
             twist: commanded twist of the object in its own frame (6,) [m/s, rad/s]; without it no lag is looked for.
         """
-        o, result = self._options, Watch()
+        o, s, result = self._options, self._s, Watch()
         servos = self.servos if self.servos is not None and self.servos.minds else None
-        given = away
-        told = self._told = self._positions(commanded, self._told)
-        found = self._positions(measured, told)
+        x_commanded = s.commanded = self._positions(commanded, s.commanded)
+        x_measured = self._positions(measured, x_commanded)
         if len(away) > 1 and o.slow_from is not None:
-            away = (away if servos is None else away + servos.shift).dot(self._at_grasps)
-            lost = self._keep_where_lost(measured, away)
-            self._watch_distances(told, away, lost, dt, result, rigid=servos is not None)
+            at_grasps = (away if servos is None else away + servos.shift) @ self._at_grasps
+            lost = self._keep_where_lost(measured, at_grasps)
+            self._watch_distances(x_commanded, at_grasps, lost, dt, result, rigid=servos is not None)
         if servos is not None:
-            fall_gently(result, self._cap, dt)
+            fall_gently(result, s.cap, dt)
         if servos is not None and o.slow_from is not None and velocity is not None and rotation is not None:
-            self._watch_servos(servos, given, velocity, rotation, dt, result)
+            self._watch_servos(servos, away, velocity, rotation, dt, result)
         if o.stall_samples is not None:
-            self._watch_stall(found, told, dt, result, rigid=servos is not None)
+            self._watch_stall(x_measured, x_commanded, dt, result, rigid=servos is not None)
         if self._stress is not None:
             self._watch_stress(self._stress, measured, commanded, dt, result)
         if twist is not None and self.servos is None and self._stress is None and o.slow_from is not None:
             self._watch_lag(twist, dt, result)
         if o.recovery_time > 0.0:
-            allowed = self._cap + dt / o.recovery_time
+            allowed = s.cap + dt / o.recovery_time
             if allowed < result.rate_cap:
                 result.rate_cap = allowed
                 if not result.reason:
-                    result.arm, result.reason = self._arm, f"arm {self._cell.arm_names[self._arm]} was out of step"
-            self._cap, self._arm = result.rate_cap, result.arm
+                    result.arm, result.reason = s.arm, f"arm {self._cell.arm_names[s.arm]} was out of step"
+            s.cap, s.arm = result.rate_cap, result.arm
         result.cause = Cause.TRACKING if result.reason else None
         if self.servos is not None and self.servos.touches and not result.fault:
             return Watch.holding("the arms hold", Cause.CONTACT)
@@ -230,105 +250,88 @@ class Supervision:
     def _keep_where_lost(self, measured: Array, away: Array) -> npt.NDArray[np.bool_]:
         """Arms that have lost this sample (N,): their numbers equal the sample before to the last bit.
 
-        Its distance stays as it was.
+        Their rows of ``away`` become those of the last sample.
         """
-        numbers = measured[self._numbers]
+        s, numbers = self._s, measured[self._numbers]
         lost = np.zeros(len(away), dtype=bool)
-        if self._seen is not None:
-            same = np.logical_and.reduceat(numbers == self._seen, self._first_numbers)
-            self._lost = (self._lost + 1) * same
-            if np.count_nonzero(same):
-                lost = same & (self._lost <= MOST_LOST)
-                away[lost] = self._away[lost]
-        self._seen = numbers
+        if s.numbers is not None:
+            same = np.logical_and.reduceat(numbers == s.numbers, self._first_numbers)
+            s.repeated = (s.repeated + 1) * same
+            lost = same & (s.repeated <= MOST_LOST)
+            away[lost] = s.away[lost]
+        s.numbers = numbers
         return lost
 
     def _watch_distances(
-        self, told: Array, away: Array, lost: npt.NDArray[np.bool_], dt: float, result: Watch, *, rigid: bool
+        self, commanded: Array, away: Array, lost: npt.NDArray[np.bool_], dt: float, result: Watch, *, rigid: bool
     ) -> None:
         """Deviation of each arm from the mean of the others that slows or stops the object."""
-        o = self._options
+        o, s = self._options, self._s
         assert o.slow_from is not None
         keep = o.filter_time / (o.filter_time + dt)
-        self._deviation += (1.0 - keep) * (away - self._deviation)
-        passed = math.sqrt(self._from_others.item(0) * (1.0 - keep) / (1.0 + keep))  # share of the noise
-        noise = passed * self._noise_seen(away, dt)
-        apart = out_of_step = self._from_others.dot(self._deviation)
-        if o.let_in > 0.0:
-            drift = self._drift
-            out_of_step = drift.followed(apart, told, dt) if rigid else drift.without(apart, noise, told, dt)
-        self._count_far(away, self._from_others.dot(away) - (apart - out_of_step), lost)
-        spread = np.einsum("ij,ij->i", out_of_step, out_of_step)
-        worst = math.sqrt(float(spread.max())) - o.noise_margin * noise
-        self._quiet = o.noise_margin * noise / math.sqrt(len(away)) + max(worst, 0.0)
-        if worst <= o.slow_from or self._samples < FEW_SAMPLES:
+        s.deviation = s.deviation + (1.0 - keep) * (away - s.deviation)
+        passed = math.sqrt(float(self._from_others[0, 0]) * (1.0 - keep) / (1.0 + keep))  # share of the noise
+        s.samples = min(s.samples + 1.0, NOISE_TIME / dt)
+        noise = passed * noise_seen(away, s.away, s.step, s.noise, s.samples)
+        apart = out_of_step = self._from_others @ s.deviation
+        if o.let_in > 0.0 and rigid:
+            out_of_step = s.drift.followed(apart, commanded, dt)
+        elif o.let_in > 0.0:
+            out_of_step = s.drift.without(apart, noise, commanded, dt)
+        self._count_far(away, self._from_others @ away - (apart - out_of_step), lost)
+        distances = np.linalg.norm(out_of_step, axis=1)
+        worst = float(distances.max()) - o.noise_margin * noise
+        s.quiet = o.noise_margin * noise / math.sqrt(len(away)) + max(worst, 0.0)
+        if worst <= o.slow_from or s.samples < FEW_SAMPLES:
             return
-        spread = np.sqrt(spread)
         # Two arms are always equally far from each other: blame the arm that is farther from its command.
-        own = np.where(spread >= 0.99 * spread.max(), np.linalg.norm(self._deviation, axis=1), -1.0)
+        own = np.where(distances >= 0.99 * distances.max(), np.linalg.norm(s.deviation, axis=1), -1.0)
         candidates = own > own.max() - EQUALLY_FAR  # of these the one that was named last, or the first
-        arm = result.arm = self._arm if self._arm >= 0 and candidates[self._arm] else int(candidates.argmax())
+        arm = result.arm = s.arm if s.arm >= 0 and candidates[s.arm] else int(candidates.argmax())
         result.hold = worst >= o.hold_from
-        result.fault = worst >= o.fault_from and self._far >= FAULT_SAMPLES
+        result.fault = worst >= o.fault_from and s.far >= FAULT_SAMPLES
         result.rate_cap = 0.0 if result.hold else (o.hold_from - worst) / (o.hold_from - o.slow_from)
-        result.reason = f"arm {self._cell.arm_names[arm]} is {1e3 * spread[arm]:.2f} mm out of step with the others"
+        result.reason = f"arm {self._cell.arm_names[arm]} is {1e3 * distances[arm]:.2f} mm out of step with the others"
 
     def _count_far(self, away: Array, unfiltered: Array, lost: npt.NDArray[np.bool_]) -> None:
         """Count the samples in a row in which an arm is as far from the others as a fault needs.
 
         A sample that the arm farthest from its command has lost says nothing.
         """
-        if not lost[np.einsum("ij,ij->i", away, away).argmax()]:
-            far = float(np.einsum("ij,ij->i", unfiltered, unfiltered).max()) >= self._options.fault_from**2
-            self._far = self._far + 1 if far else 0
+        if not lost[np.linalg.norm(away, axis=1).argmax()]:
+            far = np.square(unfiltered).sum(axis=1).max() >= self._options.fault_from**2
+            self._s.far = self._s.far + 1 if far else 0
 
-    def _noise_seen(self, away: Array, dt: float) -> float:
-        """The noise in unfiltered deviations [m, rms], from their second differences, which motion hardly has."""
-        step = away - self._away
-        bend = step - self._step
-        self._away[:], self._step[:] = away, step
-        self._samples = min(self._samples + 1.0, NOISE_TIME / dt)
-        if self._samples > 2.0:  # the first differences are with nothing
-            # With long steps the averaging time holds few samples: the latest then counts for all.
-            self._noise += (np.einsum("ij,ij->i", bend, bend) - self._noise) / max(self._samples - 2.0, 1.0)
-        return math.sqrt(float(self._noise.max()) / 6.0)
-
-    def _watch_stall(self, found: Array, told: Array, dt: float, result: Watch, *, rigid: bool) -> None:
+    def _watch_stall(self, measured: Array, commanded: Array, dt: float, result: Watch, *, rigid: bool) -> None:
         """An arm that stands while another follows has stalled; where none follows, signals may just be late.
 
-        Of arms in rigid grips that mind forces their wrenches say more: here, only whether all have stopped.
+        Of arms in rigid grips whose forces are monitored their wrenches say more: here, only whether all have stopped.
         """
-        o, past = self._options, self._past
-        measured, commanded = found[self._moving], told[self._moving]
-        past.append((measured, commanded))
-        samples, moves = o.stall_samples or 1, self._moves
-        before = past[max(len(past) - 1 - samples, 0)]
-        np.subtract(commanded, before[1], out=moves[0])
-        np.subtract(measured, before[0], out=moves[1])
-        np.subtract(commanded, measured, out=moves[2])
-        told, moved, gap = np.maximum.reduceat(np.abs(moves, out=moves), self._starts, axis=1)
-        stalled = self._stalled
-        if stalled.any():
-            np.maximum(self._widest, gap, out=self._widest)
-            stalled &= gap >= np.maximum(CAUGHT_UP, CAUGHT_UP_SHARE * self._widest)
-        moving = told > STILL_COMMAND
+        o, s = self._options, self._s
+        s.past.append((measured[self._moving], commanded[self._moving]))
+        samples = o.stall_samples or 1
+        (x0, command0), (x, command) = s.past[max(len(s.past) - 1 - samples, 0)], s.past[-1]
+        asked, moved, gap = np.maximum.reduceat(np.abs([command - command0, x - x0, command - x]), self._starts, axis=1)
+        s.widest = np.where(s.stalled, np.maximum(s.widest, gap), s.widest)
+        s.stalled = s.stalled & (gap >= np.maximum(CAUGHT_UP, CAUGHT_UP_SHARE * s.widest))
+        moving = asked > STILL_COMMAND
         # With less of a gap it is not stalled but late; so it is where it turns round a little later than told.
-        stands = moving & (moved < o.stall_share * told) & (gap >= CAUGHT_UP)
-        if len(past) > samples and stands.any():
-            least = least_told([row for _, row in past], self._starts, samples)
+        stands = moving & (moved < o.stall_share * asked) & (gap >= CAUGHT_UP)
+        if len(s.past) > samples and stands.any():
+            least = least_told([row for _, row in s.past], self._starts, samples)
             stands &= (least > STILL_COMMAND) & (moved < o.stall_share * least)
-        if len(past) > samples and stands.any():
-            follows = bool((moving & (moved > FOLLOWS * told)).any())
-            self._silence = 0.0 if follows else self._silence + dt
-            if follows or self._silence > o.silent_time:
-                self._widest[stands & ~stalled] = 0.0
-                stalled |= stands
+        if len(s.past) > samples and stands.any():
+            follows = bool((moving & (moved > FOLLOWS * asked)).any())
+            s.silence = 0.0 if follows else s.silence + dt
+            if follows or s.silence > o.silent_time:
+                s.widest = np.where(stands & ~s.stalled, 0.0, s.widest)
+                s.stalled = s.stalled | stands
         else:
-            self._silence = 0.0
-        if stalled.all() if rigid else stalled.any():
-            result.rate_cap, result.hold, result.arm = 0.0, True, int(stalled.argmax())
+            s.silence = 0.0
+        if s.stalled.all() if rigid else s.stalled.any():
+            result.rate_cap, result.hold, result.arm = 0.0, True, int(s.stalled.argmax())
             result.reason = f"arm {self._cell.arm_names[result.arm]} does not follow its command (stalled)"
-            if stalled.all():
+            if s.stalled.all():
                 result.reason = "no arm is seen to follow its command (all have stopped, or measurements are stale)"
 
     def _watch_servos(
@@ -336,13 +339,13 @@ class Supervision:
     ) -> None:
         """Arms whose servos do not stand where their wrenches say slow the object; one that has stalled holds it."""
         o = self._options
-        hasty = servos.hasten(velocity, self._velocity, dt)
+        hasty = servos.hasten(velocity, self._s.velocity, dt)
         cap, arm, far = servos.watch(
             away,
             self._at_grasps,
             rotation,
             hasty,
-            way=self._drift.way,
+            way=self._s.drift.way,
             dt=dt,
             filter_time=o.filter_time,
             margin=o.noise_margin,
@@ -352,16 +355,17 @@ class Supervision:
         reason = f"arm {self._cell.arm_names[arm]} is {1e3 * far:.2f} mm from where its wrench puts its servos"
         found = Watch(cap, hold=cap == 0.0, arm=arm, reason=reason, cause=Cause.TRACKING)
         if cap > 0.0:
-            fall_gently(found, self._cap, dt)
+            fall_gently(found, self._s.cap, dt)
         if found.rate_cap < result.rate_cap:
             result.lower(found)
 
     def _watch_lag(self, twist: Array, dt: float, result: Watch) -> None:
         """Arms that are where no lag would put them all slow the object, and hold it."""
-        if len(self._deviation) < 2:
+        s = self._s
+        if len(s.deviation) < 2:
             return
-        velocity, settled = twist.dot(self._at_grasps), self._samples >= FEW_SAMPLES
-        excess, arm = self._lag.look(self._deviation.mean(axis=0), velocity, self._quiet, dt, settled=settled)
+        velocity, settled = twist @ self._at_grasps, s.samples >= FEW_SAMPLES
+        excess, arm = s.lag.look(s.deviation.mean(axis=0), velocity, s.quiet, dt, settled=settled)
         cap = excess_cap(excess)
         if arm >= 0 and cap < result.rate_cap:
             reason = OFF_LAG.format(arm=self._cell.arm_names[arm], mm=1e3 * excess)
@@ -369,13 +373,13 @@ class Supervision:
 
     def _watch_stress(self, stress: StressWatch, measured: Array, commanded: Array, dt: float, result: Watch) -> None:
         """Arms that press too hard on the object, or soon will, hold it until they press less than half as hard."""
-        limit = self._options.force_limit
+        limit, s = self._options.force_limit, self._s
         stress.read(measured, commanded, dt)
         most = int(stress.forces.argmax())
         force = float(stress.forces[most])
         soon = stress.soon(most, limit)
-        self._pressed = soon >= (LET_GO * limit if self._pressed else limit)
-        if not self._pressed:
+        s.pressed = soon >= (LET_GO * limit if s.pressed else limit)
+        if not s.pressed:
             return
         result.rate_cap, result.hold, names = 0.0, True, self._cell.arm_names
         if stress.behind < 0:

@@ -1,4 +1,4 @@
-"""The further constraints of one controller: all rows of a step, and the rate that they allow at a knot."""
+"""The further constraints of one controller: all rows of a step, and the rate that they allow at a grid point."""
 
 from __future__ import annotations
 
@@ -30,7 +30,6 @@ from coopqp.model.state import CellState
 from coopqp.native.constants import STILL_SLOPE
 from coopqp.spatial import Array
 
-_EVERY: Any = slice(None)
 #: Entries of rows this large are nonsense.
 _LARGEST = 1e9
 #: Rows whose largest entry is smaller are scaled to 1, for steps keep all rows with the same absolute tolerance; where
@@ -86,8 +85,6 @@ class Constraints:
         self._certified = [(i, c) for i, c in self.velocity if isinstance(c, CertifiedConstraint)]
         self._uncertified = [(i, c) for i, c in self.velocity if not isinstance(c, CertifiedConstraint)]
         self._soft = {i: item.rank == Rank.CLEARANCE for i, item in self.velocity}
-        self._nothing = no_rows(cell.nv)
-        self._all_soft, self._none_soft = np.ones(MOST_ROWS), np.zeros(MOST_ROWS)
 
     def __bool__(self) -> bool:
         return bool(self.names)
@@ -116,7 +113,7 @@ class Constraints:
 
     @property
     def certified(self) -> CertifiedConstraint | None:
-        """The only constraint, if it says where it is quiet."""
+        """The only constraint, if it is certified: it says in which region none of its rows binds."""
         only = len(self.names) == len(self._certified) == 1
         return self._certified[0][1] if only else None
 
@@ -136,7 +133,7 @@ class Constraints:
             raise InvalidInputError(str(trouble), "reset", "See the how-to on constraints.") from trouble
 
     def rows(self, q: Array, dt: float, *, blind: bool = False) -> Rows:
-        """All rows at a configuration (nq,); ``blind`` where nothing brakes ahead of them.
+        """All rows at a configuration (nq,); ``blind`` where no look-ahead brakes for them.
 
         Raises:
             ConstraintTrouble: a constraint raised, or its rows are not finite or have other shapes; with the rows of
@@ -152,13 +149,12 @@ class Constraints:
                 if raised.rows is None:
                     continue
                 own = raised.rows
-            soft = self._all_soft if self._soft[i] else self._none_soft
-            parts.append(Rows(own.G, own.lower, own.upper, soft[: len(own.which)], self._first[i] + own.which))
-        if self._uncertified:
-            try:
-                parts += self._uncertified_rows(CellState(self.cell, q), dt)
-            except ConstraintTrouble as raised:
-                trouble = trouble or raised
+            soft = np.full(len(own.which), float(self._soft[i]))
+            parts.append(Rows(own.G, own.lower, own.upper, soft, self._first[i] + own.which))
+        try:
+            parts += self._uncertified_rows(CellState(self.cell, q), dt)
+        except ConstraintTrouble as raised:
+            trouble = trouble or raised
         rows = self._joined(parts)
         if trouble is not None:
             raise ConstraintTrouble(str(trouble), rows, trouble.cause)
@@ -168,7 +164,7 @@ class Constraints:
         nv, parts = self.cell.nv, []
         for i, constraint in self._uncertified:
             name = self.names[i]
-            G, lower, upper = _asked(name, partial(constraint.rows, state, dt))
+            G, lower, upper = _three_arrays(name, partial(constraint.rows, state, dt))
             G, lower, upper = np.atleast_2d(G), np.atleast_1d(lower), np.atleast_1d(upper)
             if not G.size and not lower.size:
                 G = G.reshape(0, nv)
@@ -184,60 +180,53 @@ class Constraints:
         return parts
 
     def _joined(self, parts: list[Rows]) -> Rows:
-        if len(parts) < 2:
-            found = parts[0] if parts else self._nothing
-        else:
-            found = Rows(*(np.concatenate([getattr(part, f.name) for part in parts]) for f in fields(Rows)))
-        if len(found) > MOST_ROWS:
-            raise ConstraintTrouble(f"the constraints have {len(found)} rows, at most {MOST_ROWS} are possible")
-        return found
+        parts = [no_rows(self.cell.nv), *parts]
+        rows = Rows(*(np.concatenate([getattr(part, f.name) for part in parts]) for f in fields(Rows)))
+        if len(rows) > MOST_ROWS:
+            raise ConstraintTrouble(f"the constraints have {len(rows)} rows, at most {MOST_ROWS} are possible")
+        return rows
 
     def measured(self, binding: tuple[BindingLimit, ...], q: Array) -> tuple[BindingLimit, ...]:
         """Limits with the distances of their bodies at ``q`` (nq,)."""
-        if not self._certified or all(limit.kind is not LimitKind.COLLISION for limit in binding):
+        if not self._certified:
             return binding
-        found = []
-        for limit in binding:
-            owner = next((c for _, c in self._certified if limit in c.labels), None)
-            found.append(limit if owner is None else owner.measured(limit, q))
-        return tuple(dict.fromkeys(found))
+        owners = [next((c for _, c in self._certified if limit in c.labels), None) for limit in binding]
+        measured = [x if owner is None else owner.measured(x, q) for x, owner in zip(binding, owners, strict=True)]
+        return tuple(dict.fromkeys(measured))
 
     def nearest(self, q: Array) -> NearPair | None:
-        """The bodies that are nearest to their margin at ``q`` (nq,); None where nothing says so."""
-        if not self._certified:
-            return None
-        found = [pair for _, c in self._certified if (pair := c.nearest(q)) is not None]
-        return min(found, key=lambda pair: pair.distance, default=None)
+        """The bodies that are nearest to their margin at ``q`` (nq,); None without certified constraints."""
+        pairs = [pair for _, c in self._certified if (pair := c.nearest(q)) is not None]
+        return min(pairs, key=lambda pair: pair.distance, default=None)
 
     def inside(self, q: Array) -> tuple[BindingLimit, ...]:
         """Pairs of bodies that are inside their margin at ``q`` (nq,), each with its distance, the worst first."""
-        found = [limit for _, c in self._certified for limit in c.inside(q)]
-        return tuple(sorted(dict.fromkeys(found), key=lambda limit: limit.distance or 0.0))
+        limits = [limit for _, c in self._certified for limit in c.inside(q)]
+        return tuple(sorted(dict.fromkeys(limits), key=lambda limit: limit.distance or 0.0))
 
     def tightened(self, rows: Rows, q_next: Array, v: Array, dt: float) -> Rows | None:
         """Tighter rows if a command keeps the rows but breaks their constraint; None if it breaks none."""
-        found = None
+        tightened = None
         for i, constraint in self._certified:
-            first, own = self._first[i], _EVERY
-            if len(self.velocity) > 1 or (len(rows) and rows.owner[-1] < 0):  # others come last
-                own = (rows.owner >= first) & (rows.owner < first + len(constraint.labels))
+            first = self._first[i]
+            own = (rows.owner >= first) & (rows.owner < first + len(constraint.labels))
             given = LabelledRows(rows.G[own], rows.lower[own], rows.upper[own], rows.owner[own] - first)
             lower = constraint.tightened(given, q_next, v, dt)
             if lower is not None:
                 all_lower = rows.lower.copy()
                 all_lower[own] = lower
-                found = rows = replace(rows, lower=all_lower)
-        return found
+                tightened = rows = replace(rows, lower=all_lower)
+        return tightened
 
     def _lines(self, knot: Knot) -> list[tuple[Array, Array, Array, int]]:
         """a, b, c of every rate bound, and its number."""
-        found = []
+        lines = []
         for i, bound in self.rate:
             try:
-                found.append((*lines_of(bound, knot), i))
+                lines.append((*lines_of(bound, knot), i))
             except BoundTrouble as trouble:
                 raise ConstraintTrouble(f"constraint {self.names[i]}{trouble}") from trouble
-        return found
+        return lines
 
     def bound(self, knot: Knot, dt: float, curvature_share: float, among: Sequence[int] | None = None) -> Bound:
         """The rate that the constraints allow at a knot.
@@ -259,17 +248,17 @@ class Constraints:
         rows = self._joined(self._uncertified_rows(knot.state, dt))
         if len(rows):
             along = rows.G @ knot.slope
-            room = np.where(along > 0.0, rows.upper, -rows.lower)
+            most = np.where(along > 0.0, rows.upper, -rows.lower)
             with np.errstate(divide="ignore", invalid="ignore"):
-                rate = np.where(np.abs(along) > STILL_SLOPE, room / np.abs(along), np.inf)
+                rate = np.where(np.abs(along) > STILL_SLOPE, most / np.abs(along), np.inf)
             worst = int(rate.argmin())
             if rate[worst] < 1.0:
                 cap, which = float(rate[worst] * abs(rate[worst])), int(rows.owner[worst])
         for a, b, c, i in self._lines(knot):
             # A line that bounds σ̇ as well leaves a share of itself for it.
-            room = np.where((b == 0.0) | (c < 0.0), c, curvature_share * c)
+            share = np.where((b == 0.0) | (c < 0.0), c, curvature_share * c)
             with np.errstate(divide="ignore", over="ignore"):
-                z = np.where(c < 0.0, -1.0, np.where(a > 0.0, room / np.where(a > 0.0, a, 1.0), np.inf))
+                z = np.where(c < 0.0, -1.0, np.where(a > 0.0, share / np.where(a > 0.0, a, 1.0), np.inf))
                 if z.size and z.min() < min(cap, 1.0):
                     cap, which = float(z.min()), self._first[i]
                 left = c - np.maximum(a, 0.0) * min(max(cap, 0.0), 1.0)
@@ -312,7 +301,7 @@ def _scaled(name: str, G: Array, lower: Array, upper: Array) -> tuple[Array, Arr
         return G / units[:, None], lower / units, upper / units
 
 
-def _asked(name: str, call: Callable[[], Any]) -> tuple[Array, Array, Array]:
+def _three_arrays(name: str, call: Callable[[], Any]) -> tuple[Array, Array, Array]:
     """The three arrays that a user's constraint returns.
 
     Raises:

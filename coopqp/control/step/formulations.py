@@ -43,7 +43,7 @@ class RankWeights:
     grasp: Annotated[float, Doc("cost of giving up all of the grasp correction")] = 1.0
     path: Annotated[float, Doc("cost of giving up all of the path correction")] = 1e-2
     rate: Annotated[float, Doc("cost of standing still (σ = 0)")] = 1e-4
-    comfort: Annotated[
+    posture: Annotated[
         float, Doc("cost of null-space motion other than the wanted one, in units of the joints' speeds")
     ] = 1e-6
     length: Annotated[float, Doc("characteristic length that weighs rotation against translation [m]")] = 0.3
@@ -102,13 +102,13 @@ class Pieces:
 
 @dataclass(frozen=True, eq=False)
 class Answer:
-    """A solved step: joint velocities and what was given up."""
+    """A solved step: joint velocities, path speed, and the slack of each priority (see :class:`GivenUp`)."""
 
     velocity: Array
     rate: float
-    grasp_share: float
-    path_share: float
-    off_path: Array
+    grasp_share: float = 1.0
+    path_share: float = 1.0
+    off_path: Array = field(default_factory=lambda: np.zeros(6))
     chain: float = 0.0
 
 
@@ -127,7 +127,7 @@ class StepProgram:
         self.metric = np.array([1.0] * 3 + [w.length**2] * 3)
         self._twist_scale = 1.0 / np.sqrt(w.off_path * self.metric)
         self._share_scale = 1.0 / np.sqrt([w.rate, w.grasp, w.path])
-        self._posture_scale = 1.0 / float(np.sqrt(w.comfort))
+        self._posture_scale = 1.0 / float(np.sqrt(w.posture))
         self.recovery_scale = 1.0 / float(np.sqrt(w.recovery))
         self.relax_scale = 1.0 / float(np.sqrt(w.clearance))
         self.units = np.concatenate(
@@ -257,7 +257,7 @@ class StepProgram:
         H[range(chain.nv, n), range(chain.nv, n)] = 1.0
         if chain.redundancy:
             # Active-set solvers manage ten orders of magnitude between costs, not fourteen.
-            cost = max(self.weights.comfort, 1e-10 * self.weights.chain) if slack else self.weights.comfort
+            cost = max(self.weights.posture, 1e-10 * self.weights.chain) if slack else self.weights.posture
             G, target = self._posture_rows(terms, n, shares.start)
             H += cost * G.T @ G
             g -= cost * G.T @ target

@@ -1,7 +1,7 @@
 """The plain loop: the definition of a step in NumPy, written to be read. It runs where the core does not apply.
 
-``observe`` advances what is filtered, once a sample; ``propose`` finds the command; ``commit`` moves the state. A veto
-proposes again, with more rows or a lower cap on the rate.
+``observe`` takes a sample and advances the filters; ``propose`` finds the command; ``commit`` moves the state. The
+core's counterparts are ``step.cpp`` and ``values.cpp``.
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ from coopqp.model.limits import BindingLimit, LimitKind
 from coopqp.model.posture import Posture
 from coopqp.model.state import CellState
 from coopqp.native.constants import LEAST_PACE, MOST_TIGHTENINGS, NEGLIGIBLE, SAID_APART
-from coopqp.paths.guarded import GuardedPath, is_known, jump
+from coopqp.paths.guarded import GuardedPath, jump
 from coopqp.paths.path import ObjectPath
 from coopqp.spatial import Array
 
@@ -64,9 +64,9 @@ class PlainLoop:
         self, cell: RobotCell, grasp: Grasp, *, dt: float, options: QPOptions, constraints: Constraints
     ) -> None:
         self.cell, self.grasp, self.dt, self.options, self._on_path = cell, grasp, dt, options, options
-        turn = Lock()
-        self.hold, self.release = turn.hold, turn.release
-        self.steps_here, self.steps_elsewhere = turn.steps_here, turn.steps_elsewhere
+        lock = Lock()
+        self.hold, self.release = lock.hold, lock.release
+        self.steps_here, self.steps_elsewhere = lock.steps_here, lock.steps_elsewhere
         self.constraints = constraints
         self._chain, self._ahead_chain, self._box = Chain(cell, grasp), Chain(cell, grasp), VelocityBox(cell)
         self._ahead_shift = np.zeros((len(cell), 6))
@@ -92,11 +92,10 @@ class PlainLoop:
         self.path, self._guarded = path, GuardedPath(path)
         self._on_path = self.options.on(self._guarded.planned_share)
         self._posture.take(self._on_path.posture)
-        self._ahead: tuple[float, pin.SE3] | None = None
         self._preview = None
         if self.options.preview is not None and self._guarded.known_ahead:
             ahead = ConstraintsAhead(self.cell, self.constraints, self.options.preview.curvature_share, dt=self.dt)
-            preview = PathPreview(
+            self._preview = PathPreview(
                 self._ahead_chain,
                 path,
                 self._posture,
@@ -106,7 +105,6 @@ class PlainLoop:
                 evade=ahead.evade if self.constraints.evades and not self._guarded.keeps_clear else None,
                 shift=self._ahead_shift,
             )
-            self._preview = preview
 
     def take_shift(self, shift: Array) -> Callable[[], bool]:
         """The tools hold the object shifted by (N, 6) after each call of the returned function; False if not finite."""
@@ -124,11 +122,11 @@ class PlainLoop:
 
         return taken
 
-    #: Where the last step has asked for the object.
+    #: The object's reference pose in the last step.
     reference = pin.SE3.Identity()
 
     def take_minding(self, memory: Array) -> None:
-        """Compare the arms with their wrenches, too, which the owner of ``memory`` puts there."""
+        """Monitor forces, too: compare the arms with the wrenches that the owner of ``memory`` puts there."""
         self._supervision.servos = ServoWatch(memory, self.cell.arm_names)
 
     def start(self, q: Array) -> None:
@@ -149,12 +147,10 @@ class PlainLoop:
         self.look_ahead_again()
 
     def take_path(self) -> None:
-        """Forget the pose ahead: the path has changed."""
-        self._ahead = None
+        """The path has changed: nothing of it is kept here."""
 
     def look_ahead_again(self, rate: float | None = None) -> None:
         """The path ahead has changed; the object moves along it at a rate."""
-        self.take_path()
         if rate is not None:
             self.state.rate, self.state.rate_slope = rate, 0.0
         self._start_preview()
@@ -164,13 +160,13 @@ class PlainLoop:
             self._preview.reset(self.state.q, self.state.clock, later=later)
 
     def try_step(self) -> tuple[float, Array]:
-        """σ that a step from here keeps, its cap at most, and the change of the joints' velocities (nv,).
+        """Path speed σ of a step from here, and the change of the joints' velocities in it (nv,); nothing is committed.
 
-        Nothing is committed, and samples in it count for nothing. The joints may force a rate above the cap.
+        The joints may force a higher rate than the cap; σ is the cap then.
         """
         proposal = self.propose(self.observe(None, None))
-        found = proposal.found.answer
-        return 0.0 if found.braked else min(proposal.given.cap, found.rate), found.velocity - self.state.v
+        answer = proposal.found.answer
+        return 0.0 if answer.braked else min(proposal.given.cap, answer.rate), answer.velocity - self.state.v
 
     def memory(self) -> Any:
         """All that a copy of this loop needs beside its arguments and its path."""
@@ -250,26 +246,19 @@ class PlainLoop:
             seen.measured = way / -gain
         return seen
 
-    def _pose_ahead(self, clock: float) -> pin.SE3 | None:
-        """The path's pose at a clock, kept: most often it is the next step's reference."""
-        if self._ahead is None or self._ahead[0] != clock or not is_known(self.path):
-            pose = self._guarded.pose(clock)
-            self._ahead = None if pose is None else (clock, pose)
-        return None if self._ahead is None else self._ahead[1]
-
     def _pose(self, clock: float) -> pin.SE3:
-        pose = self._pose_ahead(clock)
+        pose = self._guarded.pose(clock)
         return held_at(self.grasp, self._shares, CellState(self.cell, self.state.q)) if pose is None else pose
 
     def _watch_chain(self, seen: Observed) -> None:
         """Name arms that their commands lead apart; hold them where they are too far apart."""
         s, watch = self.state, seen.watch
-        found = seen.apart = self._chain_watch.look(seen.errors, s.mismatch, started=s.started, held=s.chain_held)
-        if found.distance <= SAID_APART:
+        apart = seen.apart = self._chain_watch.look(seen.errors, s.mismatch, started=s.started, held=s.chain_held)
+        if apart.distance <= SAID_APART:
             return
-        arm, other = (self.cell.arm_names[k] for k in found.arms)
-        reason = PARTED.format(arm=arm, other=other, mm=1e3 * found.distance)
-        if found.holds:
+        arm, other = (self.cell.arm_names[k] for k in apart.arms)
+        reason = PARTED.format(arm=arm, other=other, mm=1e3 * apart.distance)
+        if apart.holds:
             watch.lower(Watch.holding(reason, Cause.COMMANDED_CHAIN))
         elif not watch.reason:
             watch.reason = reason
@@ -292,7 +281,7 @@ class PlainLoop:
             twist = self._twist(seen.carried[0])
             watch.lower(self._supervision.watch(measured, s.q, away, seen.h, s.v, seen.pose.rotation, twist))
         servos = self._supervision.servos
-        corrects = 1.0 if servos is None else servos.corrects  # arms that mind forces relax first
+        corrects = 1.0 if servos is None else servos.corrects  # arms whose forces are monitored relax first
         if watch.hold or (s.drift is None and corrects == 1.0):
             return np.zeros(6) if watch.hold else None
         measured_error = self._mean(seen.errors) + (0.0 if s.drift is None else s.drift)
@@ -321,10 +310,8 @@ class PlainLoop:
         if s.lost and not seen.lost:
             self._start_preview(later=True)  # the known horizon is void after the path has failed
         s.lost = seen.lost
-        cap, binding, late = self._rate_cap.find(s, seen, self._preview)
-        measured = seen.measured
-        if late < 1.0:
-            measured = self._brake_correction(late, seen)
+        cap, binding, keep = self._rate_cap.find(s, seen, self._preview)
+        measured = seen.measured if keep >= 1.0 else self._brake_correction(keep, seen)
         rest = self._guarded.duration - s.clock
         if rest < h * cap:
             cap = rest / h  # the last step ends at the end
@@ -334,7 +321,7 @@ class PlainLoop:
         span = min(h * max(pace, LEAST_PACE), rest)
         along = np.zeros(6)
         if span > 1e-12 and not seen.lost:
-            ahead = self._pose_ahead(s.clock + span)
+            ahead = self._guarded.pose(s.clock + span)
             if ahead is None:
                 seen.watch.lower(Watch.holding(self._guarded.problem))
                 cap = 0.0
@@ -342,14 +329,14 @@ class PlainLoop:
                 along = np.asarray(pin.log6(seen.pose.actInv(ahead)).vector) / span
         if self._brakes_together:
             further = further.and_also(self._braking.rows(s.q, s.v, h, seen.carried[0].translation))
-        null_along, null_offset = self._wishes(span, hold=seen.watch.hold)
+        null_along, null_offset = self._null_space_reference(span, hold=seen.watch.hold)
         asked = None if s.predicted is None else s.asked_shift
         given = StepInput(
             s.q, self.cell.positions(s.q), seen.carried, seen.errors, s.v, s.v_before, h, cap, seen.pose, along,
             measured, s.predicted, s.foreseen, s.last_dt, asked, null_along, null_offset, further, s.first,
             seen.watch.hold,
         )  # fmt: skip
-        return Proposal(seen, given, self._kept(given), binding)
+        return Proposal(seen, given, self._tightened(given), binding)
 
     @property
     def _blind(self) -> bool:
@@ -362,17 +349,17 @@ class PlainLoop:
         leaves = self.constraints.gives_way and self._box.accelerates and self.state.correcting is not None
         return self._blind or leaves
 
-    def _kept(self, given: StepInput) -> LinearisedAnswer:
+    def _tightened(self, given: StepInput) -> LinearisedAnswer:
         """The answer; again with tighter rows where it violates their constraints."""
-        found = self._step.answer(given)
+        linearised = self._step.answer(given)
         for _ in range(MOST_TIGHTENINGS):
-            v = found.answer.velocity
+            v = linearised.answer.velocity
             rows = self.constraints.tightened(given.further, self.cell.moved(given.q, given.h * v), v, given.h)
             if rows is None:
                 break
             given.further = rows
-            found = self._step.answer(given)
-        return found
+            linearised = self._step.answer(given)
+        return linearised
 
     def _brake_correction(self, keep: float, seen: Observed) -> Array:
         """The error that the path correction sees, limited so that the correction is ``keep`` of the last one."""
@@ -385,8 +372,8 @@ class PlainLoop:
                 error[part] *= allowed / now
         return error
 
-    def _wishes(self, span: float, *, hold: bool) -> tuple[Array, Array]:
-        """Joint velocities wished for in the null-space, per unit of rate and besides."""
+    def _null_space_reference(self, span: float, *, hold: bool) -> tuple[Array, Array]:
+        """Wanted joint velocities in the null-space (nv,): per unit of rate, and the constant part."""
         s, nothing = self.state, np.zeros(self.cell.nv)
         if not self._redundant:
             return nothing, nothing
@@ -404,80 +391,48 @@ class PlainLoop:
 
     def commit(self, proposal: Proposal, began: float) -> ControlStep:
         """Move the state by the proposed command."""
-        s, seen, found = self.state, proposal.observed, proposal.found
-        answer, watch, h, duration = found.answer, seen.watch, seen.h, self._guarded.duration
-        v, q, clock = answer.velocity, s.q, s.clock
-        q_next = self.cell.moved(q, h * v)
-        binding = proposal.binding
-        if answer.active:
-            binding = self.names(answer.active, h, proposal.given.further)
-        binding = self.constraints.measured(binding, q)
+        s, seen, linearised = self.state, proposal.observed, proposal.found
+        answer, h, duration = linearised.answer, seen.h, self._guarded.duration
+        v, q_next = answer.velocity, self.cell.moved(s.q, h * answer.velocity)
         rate = min(max(float(answer.rate), 0.0), 1.0)
-        clock_next = clock + rate * h
+        clock_next = s.clock + rate * h
         if duration - clock_next < 1e-9 * duration:
             clock_next = duration
         # the last step needs less than the full rate, but nothing slows it
-        share = 1.0 if rate >= 1.0 or (clock_next >= duration and not watch.hold) else rate
-        status, by_qp = Status.TRACKING, answer.report is not NO_SOLVE
-        if share <= 1.0 - 1e-6:
-            status = slow_status(
-                s, share, binding, self._preview, self.options.blocked_rate, outside=self._box.any_outside, dt=self.dt
-            )
-        status = lasting(s, status, share, binding, h=h, blind=self._blind)
-        if s.reins.share < self.options.blocked_rate and share < self.options.blocked_rate:
-            status = Status.PAUSED if rests(answer.off_path) else Status.SLOWED
-            binding = binding or (OVERRIDE,)
-        away = away_from_path(s, found, self.options)
-        reason = watch.reason or answer.reason
-        if watch.hold or answer.braked:
-            status = Status.HOLDING
-        elif away:
-            status, reason = Status.OFF_PATH, "; ".join(filter(None, (away, reason)))
-        elif status is Status.PAUSED:
-            binding = (OVERRIDE,)  # whatever else would stop it
-        if inside := self.constraints.inside(q):
-            binding = tuple(dict.fromkeys((*inside, *binding)))
-            if not watch.hold:
-                reason = "; ".join(filter(None, (reason, too_close(inside))))
-        if watch.hold and watch.fault:
-            status, s.fault, s.fault_arm, s.fault_cause = Status.FAULT, watch.reason, watch.arm, watch.cause
-        stopped = status in (Status.SLOWED, Status.BLOCKED) and any(b.kind is LimitKind.PATH_JUMP for b in binding)
-        if stopped and not reason and self._preview is not None and self._preview.jump is not None:
-            clock_of_jump, far = self._preview.jump
-            reason = jump(far, clock_of_jump)
-        watched = Cause.SOLVER if answer.braked and not watch.hold else watch.cause
-        cause = cause_of(status, watched, binding, measured=s.drift is not None)
+        share = 1.0 if rate >= 1.0 or (clock_next >= duration and not seen.watch.hold) else rate
+        status, reason, cause, binding = self._verdict(proposal, share)
         for array in (v, q_next):
             array.flags.writeable = False  # the loop goes on from them
         step = ControlStep(
             cell=self.cell,
             grasp=self.grasp,
             path=self.path,
-            q=q,
+            q=s.q,
             velocity=v,
             q_next=q_next,
             dt=h,
-            clock=clock,
+            clock=s.clock,
             clock_next=clock_next,
             rate=share,
             status=status,
             reason=reason,
             cause=cause,
-            binding=inside if status is Status.TRACKING and not by_qp else binding,
-            given_up=given_up(found, share, self._restricted),
+            binding=binding,
+            given_up=given_up(linearised, share, self._restricted),
             solver=answer.report,
             commanded_apart=seen.apart.distance,
-            clearance=self.constraints.nearest(q),
+            clearance=self.constraints.nearest(s.q),
             build_time_s=time.perf_counter() - began - answer.report.time_s,
         )
-        if by_qp or self._box.accelerates:
-            c = found.correction
+        if answer.report is not NO_SOLVE or self._box.accelerates:
+            c = linearised.correction
             s.correcting = c if c @ c > NEGLIGIBLE else None
-        foresees = answer.chain == 0.0 and not answer.braked and not seen.lost
-        s.predicted, s.foreseen = (found.predicted, found.foreseen) if foresees else (None, 0.0)
-        s.mismatch = expected(seen.apart.mismatch, proposal.given.asked if found.makes_up else None, found.closes)
+        expects = answer.chain == 0.0 and not answer.braked and not seen.lost
+        s.predicted, s.foreseen = (linearised.predicted, linearised.foreseen) if expects else (None, 0.0)
+        shifted = proposal.given.asked if linearised.makes_up else None
+        s.mismatch = expected(seen.apart.mismatch, shifted, linearised.closes)
         s.started, s.asked_shift, s.chain_held = True, None, seen.apart.holds
-        s.v_before, s.v, s.q = found.stand_in, v, step.q_next
+        s.v_before, s.v, s.q = linearised.stand_in, v, step.q_next
         # A start sets the rate, and where no acceleration is limited the first step may leave it by a jump: no slope.
         jumped = s.first and not self._box.accelerates
         s.rate_slope, s.rate, s.clock = 0.0 if jumped else (rate - s.rate) / h, rate, clock_next
@@ -485,8 +440,48 @@ class PlainLoop:
         s.reins.advance(self.options.blocked_rate, self._rate_cap.slope * h)
         return step
 
+    def _verdict(self, proposal: Proposal, share: float) -> tuple[Status, str, Cause | None, tuple[BindingLimit, ...]]:
+        """Status, reason, cause and binding limits of a step at a path speed; a fault is latched."""
+        s, seen, linearised, blocked_rate = self.state, proposal.observed, proposal.found, self.options.blocked_rate
+        answer, watch, preview = linearised.answer, seen.watch, self._preview
+        binding = proposal.binding
+        if answer.active:
+            binding = self.names(answer.active, seen.h, proposal.given.further)
+        binding = self.constraints.measured(binding, s.q)
+        status = Status.TRACKING
+        if share <= 1.0 - 1e-6:
+            outside = self._box.any_outside
+            status = slow_status(s, share, binding, preview, blocked_rate, outside=outside, dt=self.dt)
+        status = lasting(s, status, share, binding, h=seen.h, blind=self._blind)
+        if s.reins.share < blocked_rate and share < blocked_rate:
+            status = Status.PAUSED if rests(answer.off_path) else Status.SLOWED
+            binding = binding or (OVERRIDE,)
+        away = away_from_path(s, linearised, self.options)
+        reason = watch.reason or answer.reason
+        if watch.hold or answer.braked:
+            status = Status.HOLDING
+        elif away:
+            status, reason = Status.OFF_PATH, "; ".join(filter(None, (away, reason)))
+        elif status is Status.PAUSED:
+            binding = (OVERRIDE,)  # whatever else would stop it
+        if inside := self.constraints.inside(s.q):
+            binding = tuple(dict.fromkeys((*inside, *binding)))
+            if not watch.hold:
+                reason = "; ".join(filter(None, (reason, too_close(inside))))
+        if watch.hold and watch.fault:
+            status, s.fault, s.fault_arm, s.fault_cause = Status.FAULT, watch.reason, watch.arm, watch.cause
+        stopped = status in (Status.SLOWED, Status.BLOCKED) and any(b.kind is LimitKind.PATH_JUMP for b in binding)
+        if stopped and not reason and preview is not None and preview.jump is not None:
+            clock_of_jump, far = preview.jump
+            reason = jump(far, clock_of_jump)
+        watched = Cause.SOLVER if answer.braked and not watch.hold else watch.cause
+        cause = cause_of(status, watched, binding, measured=s.drift is not None)
+        if status is Status.TRACKING and answer.report is NO_SOLVE:
+            binding = inside
+        return status, reason, cause, binding
+
     def names(self, active: tuple[tuple[int, float], ...], h: float, further: Rows) -> tuple[BindingLimit, ...]:
-        """Rows of a step, by name."""
+        """Limits of binding rows, by name."""
         box, nv = self._box, self.cell.nv
         return tuple(
             box.binding(row, side, self.state.v, h) if row < nv else self._label(int(further.owner[row - nv]))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import itertools
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from typing import final
 
 import numpy as np
@@ -64,16 +64,18 @@ def _make_solvers(options: QPOptions) -> tuple[QpSolver, QpSolver]:
 Active = tuple[int, float]
 
 
-@dataclass(eq=False)
-class StepAnswer:
-    """Joint velocities inside the box, and what was given up for them; see :class:`GivenUp`."""
+@dataclass(frozen=True, eq=False)
+class StepAnswer(Answer):
+    """A command inside the velocity bounds.
 
-    velocity: Array
-    rate: float
-    grasp_share: float = 1.0
-    path_share: float = 1.0
-    off_path: Array = field(default_factory=lambda: np.zeros(6))
-    chain: float = 0.0
+    Attributes:
+        active: limits that bind.
+        report: of the QP's solver.
+        braked: no solver had an answer: all arms brake.
+        exact: corrections are made in full.
+        reason: why the arms brake.
+    """
+
     active: tuple[Active, ...] = ()
     report: SolverReport = NO_SOLVE
     braked: bool = False
@@ -107,16 +109,11 @@ class StepSolver:
         solved, report = self._solve(terms, pieces, further)
         if solved is None:
             return self._brake(terms, v_prev, h, further, report)
-        return StepAnswer(
-            np.clip(solved.velocity, box.lower, box.upper),
-            min(max(solved.rate, 0.0), terms.rate_cap),  # a solver may miss its bounds a little
-            solved.grasp_share,
-            solved.path_share,
-            solved.off_path,
-            solved.chain,
-            self._active(solved.velocity, further),
-            report,
-        )
+        values = vars(solved) | {
+            "velocity": np.clip(solved.velocity, box.lower, box.upper),
+            "rate": min(max(solved.rate, 0.0), terms.rate_cap),  # a solver may miss its bounds a little
+        }
+        return StepAnswer(**values, active=self._active(solved.velocity, further), report=report)
 
     def solve_filled(
         self, base: Array, columns: Array, unit: Array, cap: float, further: Rows

@@ -10,7 +10,7 @@ from coopqp.control.lookahead.options import PreviewOptions
 from coopqp.control.lookahead.preview import PathPreview
 from coopqp.control.monitoring.watch import Watch
 from coopqp.control.options import QPOptions
-from coopqp.control.speed_override import blind_brake
+from coopqp.control.speed_override import brake_without_horizon
 from coopqp.control.step.state import LoopState, Observed
 from coopqp.control.step.velocity_bounds import VelocityBox
 from coopqp.model.cell import RobotCell
@@ -32,7 +32,8 @@ class RateCap:
         dt: nominal length of a step [s].
 
     Attributes:
-        slope: change of σ by the override and by the null-space motion, where no joint says more [1/s].
+        slope: largest change of σ by the speed override and of the share of the null-space motion, where no joint
+            needs a slower one [1/s].
     """
 
     def __init__(self, cell: RobotCell, box: VelocityBox, options: QPOptions, *, dt: float) -> None:
@@ -43,8 +44,11 @@ class RateCap:
     def find(
         self, s: LoopState, seen: Observed, preview: PathPreview | None
     ) -> tuple[float, tuple[BindingLimit, ...], float]:
-        """The fastest rate that what is ahead, the supervision and the last rate allow, what makes it so, and the share
-        of their speed that joints keep if they have to brake now."""
+        """The rate cap of a step, the limits that make it, and the share of their speed that braking joints keep.
+
+        The cap is the least of those by the look-ahead, joints that brake without one, the supervision, the largest
+        rise since the last step and the speed override.
+        """
         watch, h = seen.watch, seen.h
         cap, keep = 1.0, 1.0
         binding: tuple[BindingLimit, ...] = ()
@@ -54,10 +58,10 @@ class RateCap:
                 watch.lower(Watch.holding(preview.trouble))
             if ahead is not None:
                 binding = (ahead,)
-        blind = preview is None or preview.blind
-        if self._box.accelerates and (blind or s.correcting is not None):
+        no_horizon = preview is None or preview.blind
+        if self._box.accelerates and (no_horizon or s.correcting is not None):
             keep, late = self._box.brake_share(self._cell.positions(s.q), s.v, h)
-            if keep < 1.0 and blind and keep * s.rate < cap:
+            if keep < 1.0 and no_horizon and keep * s.rate < cap:
                 cap, binding = keep * s.rate, (self._cell.joint_limit(late, LimitKind.POSITION),)
         if watch.rate_cap < cap:
             cap = watch.rate_cap
@@ -68,20 +72,20 @@ class RateCap:
             rise = s.rate + min(self._rise, most) * h
             if rise < cap - RATE_ROUNDING:
                 cap, binding = rise, () if limit is None or most > self._rise else (limit,)
-        reined = self._reined(s, h, preview)
-        if reined < cap:
-            cap, binding = reined, (OVERRIDE,)
+        by_override = self._by_override(s, h, preview)
+        if by_override < cap:
+            cap, binding = by_override, (OVERRIDE,)
         return cap, binding, keep
 
-    def _reined(self, s: LoopState, h: float, preview: PathPreview | None) -> float:
-        """The largest rate by the override, reached as fast as the joints can follow."""
+    def _by_override(self, s: LoopState, h: float, preview: PathPreview | None) -> float:
+        """The largest rate by the speed override, which is reached as fast as the joints can follow."""
         share = s.reins.share
         if share >= s.rate or not s.v.any():
             return share
         if not self._box.accelerates:
             fall = self.slope
         elif preview is None or preview.blind or not preview.knows:
-            fall = blind_brake(s.v, BRAKING_SHARE * self._box.limits.acceleration, s.rate)
+            fall = brake_without_horizon(s.v, BRAKING_SHARE * self._box.limits.acceleration, s.rate)
         else:
             fall = preview.brake(s.clock, h, s.rate)
         return max(share, s.rate - fall * h)

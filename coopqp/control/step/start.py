@@ -18,7 +18,7 @@ from coopqp.spatial import Array
 #: Default of the largest accepted error of an arm at reset [m, rad].
 START_TOLERANCE_M, START_TOLERANCE_RAD = 0.02, np.deg2rad(3.0)
 #: Smallest deviation from grasp or path that a start reports [m, rad].
-_SAID_FROM = 5e-5, np.deg2rad(5e-3)
+_REPORTED_FROM = 5e-5, np.deg2rad(5e-3)
 #: A path with a square of its speed below this rests [m²/s²].
 _RESTS = 1e-12
 
@@ -94,21 +94,21 @@ def start_warning(cell: RobotCell, grasp: Grasp, shares: Array, pose: pin.SE3 | 
         pose: the path's; None to judge the grasp only.
         q: configuration (nq,).
     """
-    found = [_outside_limits(cell, q)]
+    warnings = [_outside_limits(cell, q)]
     O = grasp.carried(CellState(cell, q))
     reference = O[0] if pose is None else pose
     errors = np.array([pin.log6(reference.actInv(other)).vector for other in O])
-    if 4.0 * np.abs(errors).max() < min(_SAID_FROM):  # no norm of a difference is larger
-        return tuple(words for words in found if words)
     common = (shares * errors).sum(axis=0)
     off = errors - common
-    worst = np.linalg.norm(off[:, :3], axis=1) / _SAID_FROM[0] + np.linalg.norm(off[:, 3:], axis=1) / _SAID_FROM[1]
+    worst = (
+        np.linalg.norm(off[:, :3], axis=1) / _REPORTED_FROM[0] + np.linalg.norm(off[:, 3:], axis=1) / _REPORTED_FROM[1]
+    )
     arm = int(worst.argmax())
     if _off(off[arm]):
-        found.append(f"arm {cell.arm_names[arm]} started off its grasp: it is {_off(off[arm])} off")
+        warnings.append(f"arm {cell.arm_names[arm]} started off its grasp: it is {_off(off[arm])} off")
     if pose is not None and _off(common):
-        found.append(f"the object started off its path: it is {_off(common)} off")
-    return tuple(words for words in found if words)
+        warnings.append(f"the object started off its path: it is {_off(common)} off")
+    return tuple(filter(None, warnings))
 
 
 def _outside_limits(cell: RobotCell, q: Array) -> str:
@@ -124,10 +124,10 @@ def _outside_limits(cell: RobotCell, q: Array) -> str:
 
 
 def _off(error: Array) -> str:
-    """A distance and an angle in words; empty if both are below ``_SAID_FROM``."""
+    """A distance and an angle in words; empty if both are below ``_REPORTED_FROM``."""
     d, a = float(np.linalg.norm(error[:3])), float(np.linalg.norm(error[3:]))
-    parts = [f"{1e3 * d:.2f} mm"] if d > _SAID_FROM[0] else []
-    parts += [f"{np.rad2deg(a):.2f}°"] if a > _SAID_FROM[1] else []
+    parts = [f"{1e3 * d:.2f} mm"] if d > _REPORTED_FROM[0] else []
+    parts += [f"{np.rad2deg(a):.2f}°"] if a > _REPORTED_FROM[1] else []
     return " and ".join(parts)
 
 

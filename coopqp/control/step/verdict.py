@@ -1,4 +1,4 @@
-"""Words about a step: slowed or blocked, the object's distance from its path, the parts that were given up."""
+"""The verdict on a step: its status and cause, the object's distance from its path, the slack of each priority."""
 
 from __future__ import annotations
 
@@ -44,23 +44,23 @@ def slow_status(
 
 
 def lasting(
-    s: LoopState, found: Status, rate: float, binding: tuple[BindingLimit, ...], *, h: float, blind: bool
+    s: LoopState, status: Status, rate: float, binding: tuple[BindingLimit, ...], *, h: float, blind: bool
 ) -> Status:
-    """``found``, or the status of the last step, which lasts a moment: else it would flicker near rates of 0 and 1.
+    """``status``, or that of the last step, which lasts a moment: else it would flicker near rates of 0 and 1.
 
-    ``blind`` where nothing is known ahead of a step of length ``h`` [s].
+    ``blind`` where no horizon is known ahead of a step of length ``h`` [s].
     """
     last, more, most = s.status, 0.0, 0.0
-    if last is Status.BLOCKED and found is Status.SLOWED and binding:
+    if last is Status.BLOCKED and status is Status.SLOWED and binding:
         more, most = rate * h, STILL_BLOCKED
-    elif last is Status.SLOWED and found is Status.TRACKING and blind:
+    elif last is Status.SLOWED and status is Status.TRACKING and blind:
         more, most = h, STILL_SLOWED
     if more > 0.0 and s.outdated + more <= most:
         s.outdated += more
         return last
-    if last is not Status.BLOCKED or found is not last:
+    if last is not Status.BLOCKED or status is not last:
         s.outdated = 0.0
-    return found
+    return status
 
 
 def rests(off_path: Array) -> bool:
@@ -103,9 +103,9 @@ def too_close(inside: tuple[BindingLimit, ...]) -> str:
     return f"{names} are {1e3 * distance:.1f} mm from each other, inside their margin{more}"
 
 
-def away_from_path(s: LoopState, found: LinearisedAnswer, options: QPOptions) -> str:
+def away_from_path(s: LoopState, linearised: LinearisedAnswer, options: QPOptions) -> str:
     """A sentence: the object's measured distance from its path; empty if it is within the options' bounds."""
-    error = found.common if s.drift is None else found.common + s.drift
+    error = linearised.common if s.drift is None else linearised.common + s.drift
     x, y, z, *turn = error.tolist()
     distance, angle = math.hypot(x, y, z), math.hypot(*turn)
     if not (distance > options.off_path_distance or angle > options.off_path_angle):
@@ -114,9 +114,9 @@ def away_from_path(s: LoopState, found: LinearisedAnswer, options: QPOptions) ->
     return off_path(distance * (distance > options.off_path_distance), angle * (angle > options.off_path_angle))
 
 
-def given_up(found: LinearisedAnswer, rate: float, restricted: tuple[str, ...]) -> GivenUp:
-    """The parts that a step gave up; ``restricted`` are the names of arms with few joints."""
-    answer = found.answer
+def given_up(linearised: LinearisedAnswer, rate: float, restricted: tuple[str, ...]) -> GivenUp:
+    """The slack of each priority in a step; ``restricted`` are the names of arms with few joints."""
+    answer = linearised.answer
     if rate == 1.0 and answer.exact and not restricted:
         return NOTHING
     return GivenUp(

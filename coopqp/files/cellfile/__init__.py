@@ -11,12 +11,21 @@ from typing import TYPE_CHECKING, Any
 
 from coopqp.checks import require
 from coopqp.errors import MissingExtraError, UnknownNameError
-from coopqp.files.cellfile.error import CellFileError
+from coopqp.files.cellfile.error import CellFileError, RenamedKeyWarning
 
 if TYPE_CHECKING:
     from coopqp.files.cellfile.build import CellRun, CellTask
 
-__all__ = ["CELLS", "CellFileError", "example_path", "json_schema", "load_cell_file", "load_cell_task", "schema_text"]
+__all__ = [
+    "CELLS",
+    "CellFileError",
+    "RenamedKeyWarning",
+    "example_path",
+    "json_schema",
+    "load_cell_file",
+    "load_cell_task",
+    "schema_text",
+]
 
 #: Stems of the cell files that come with coopqp.
 CELLS = ("paper_lift", "paper_baseline")

@@ -26,6 +26,7 @@ from coopqp.files.cellfile.bodies import build_scene
 from coopqp.files.cellfile.build_arm import build_arm, build_placement, build_stiffness, in_radians
 from coopqp.files.cellfile.error import CellFileError
 from coopqp.files.cellfile.explain import explain, in_words_of_the_file
+from coopqp.files.cellfile.renamed import renewed
 from coopqp.files.cellfile.schema import MAX_STEPS, CellFile, CommonErrorTable, StartTable
 from coopqp.files.cellfile.sensors import build_disturbances, build_sensor
 from coopqp.files.cellfile.strict import build_options
@@ -233,7 +234,7 @@ def read(file: Path) -> CellFile:
     Raises:
         CellFileError: as in :func:`read_tables`, or the file breaks the schema.
     """
-    data = read_tables(file)
+    data = renewed(read_tables(file), str(file))
     try:
         return CellFile.model_validate(data)
     except ValidationError as error:
@@ -408,10 +409,10 @@ def _solver_settings(solver: str, given: Mapping[str, Any]) -> Any:
 
 
 def _common_error(table: CommonErrorTable) -> CommonError:
-    if table.kind == "master":
-        return CommonError.master(str(table.master))
+    if table.kind == "leader":
+        return CommonError.leader(str(table.leader))
     if table.kind == "driver":
-        return CommonError.driver(master=str(table.master), driver=str(table.driver))
+        return CommonError.driver(leader=str(table.leader), driver=str(table.driver))
     return CommonError.leaderless() if table.kind == "leaderless" else CommonError.per_axis(table.weights or [])
 
 

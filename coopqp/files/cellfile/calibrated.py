@@ -12,6 +12,7 @@ from pydantic import ValidationError
 from coopqp.files.cellfile.build import read
 from coopqp.files.cellfile.error import CellFileError
 from coopqp.files.cellfile.explain import explain
+from coopqp.files.cellfile.renamed import renewed
 from coopqp.files.cellfile.schema import CellFile
 from coopqp.files.cellfile.write import file_text, move_files, relative
 from coopqp.forces.calibration import Calibration
@@ -35,7 +36,7 @@ def settings_of(metadata: Mapping[str, Any], given: Path | None) -> tuple[CellFi
             "the recording is not one of a cell file, so there is none to correct. Give it with --cell."
         )
     try:
-        return CellFile.model_validate(tables), None
+        return CellFile.model_validate(renewed(tables, "the recording")), None
     except ValidationError as error:
         raise CellFileError(f"the recording's cell file is damaged: {explain(error)}") from error
 

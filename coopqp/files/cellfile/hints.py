@@ -34,7 +34,7 @@ def unit_hints(file: Path) -> list[str]:
         data = read_tables(file)
     except CoopqpError:  # whoever reads it says so
         return []
-    found = list(itertools.islice(_asked(data), MOST + 1))
+    found = list(itertools.islice(_questions(data), MOST + 1))
     return [*found[:MOST], "and there are more"] if len(found) > MOST else found
 
 
@@ -68,7 +68,7 @@ def _small(text: str) -> str:
     return text[:1].lower() + text[1:]
 
 
-def _asked(data: Any) -> Iterator[str]:
+def _questions(data: Any) -> Iterator[str]:
     for place, key, numbers in _numbers(data, ""):
         said = ", ".join(f"{x:g}" for x in numbers[:7])
         shown = f"[{said}]" if len(numbers) > 1 else said

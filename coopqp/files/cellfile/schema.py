@@ -261,9 +261,9 @@ class ObjectTable(Table):
 class CommonErrorTable(Table):
     """Weights that define the object pose from the views of the arms."""
 
-    kind: Literal["master", "leaderless", "driver", "per_axis"] = Field(description="see coopqp.model.common_error")
-    master: Name | None = Field(
-        default=None, description="arm that defines the object pose (kind master) or its position (kind driver)"
+    kind: Literal["leader", "leaderless", "driver", "per_axis"] = Field(description="see coopqp.model.common_error")
+    leader: Name | None = Field(
+        default=None, description="arm that defines the object pose (kind leader) or its position (kind driver)"
     )
     driver: Name | None = Field(default=None, description="arm that orients the object (kind driver)")
     weights: Annotated[list[Annotated[list[float], Len(6, 6)]], Len(1, MAX_ARMS)] | None = Field(
@@ -272,8 +272,8 @@ class CommonErrorTable(Table):
 
     @model_validator(mode="after")
     def _fits(self) -> CommonErrorTable:
-        needed = {"master": {"master"}, "leaderless": set(), "driver": {"master", "driver"}, "per_axis": {"weights"}}
-        given = {key for key in ("master", "driver", "weights") if getattr(self, key) is not None}
+        needed = {"leader": {"leader"}, "leaderless": set(), "driver": {"leader", "driver"}, "per_axis": {"weights"}}
+        given = {key for key in ("leader", "driver", "weights") if getattr(self, key) is not None}
         if given != needed[self.kind]:
             wants = " and ".join(sorted(needed[self.kind])) or "nothing else"
             raise problem(f"kind '{self.kind}' takes {wants}")
@@ -348,7 +348,7 @@ class CellFile(Table):
     """A cell, its grasp, its path, and the controller, plant and output of a run."""
 
     name: Name = Field(description="name of the run")
-    arms: Annotated[list[ArmTable], Len(1, MAX_ARMS)] = Field(description="one table per arm; the first is the master")
+    arms: Annotated[list[ArmTable], Len(1, MAX_ARMS)] = Field(description="one table per arm; the first is the leader")
     grasp: Annotated[TriangleGrasp | ToolsGrasp | LatchedGrasp, Field(discriminator="kind")] = Field(
         description="placements of the tools on the object"
     )

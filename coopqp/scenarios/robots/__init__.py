@@ -9,18 +9,9 @@ from coopqp.errors import UnknownNameError
 
 __all__ = ["ROBOT_NAMES", "robot_path"]
 
-ROBOT_NAMES: Final[tuple[str, ...]] = (
-    "arm5",
-    "arm6c",
-    "arm7",
-    "gantry7",
-    "irb1600",
-    "kr16_2",
-    "rx90l",
-    "scara4",
-)
-"""The robots, by the stem of their file: `rx90l` is the Stäubli RX-90L, `kr16_2` the KUKA KR 16-2, `irb1600` the ABB
-IRB 1600-6/1.2; the others are made up."""
+#: The robots, by the stem of their file: `rx90l` is the Stäubli RX-90L, `kr16_2` the KUKA KR 16-2, `irb1600` the ABB
+#: IRB 1600-6/1.2; the others are made up.
+ROBOT_NAMES: Final[tuple[str, ...]] = tuple(sorted(file.stem for file in Path(__file__).parent.glob("*.urdf")))
 
 
 def robot_path(name: str) -> Path:

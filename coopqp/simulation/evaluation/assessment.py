@@ -17,7 +17,7 @@ from coopqp.model.cell import RobotCell, slides
 from coopqp.planning.clearance_check import remark
 from coopqp.simulation.evaluation import metrics
 from coopqp.simulation.evaluation.figures import ramps
-from coopqp.simulation.evaluation.metrics import said
+from coopqp.simulation.evaluation.metrics import error_text
 from coopqp.simulation.evaluation.readings import Readings
 from coopqp.simulation.evaluation.wrenches import read_loads
 from coopqp.simulation.recording.recording import Recording, RecordingError
@@ -79,7 +79,7 @@ class Finding:
     cause: str = ""
 
 
-def judge(
+def evaluate(
     cell: RobotCell,
     recording: Recording,
     readings: Readings,
@@ -93,7 +93,7 @@ def judge(
         readings: result of :func:`coopqp.simulation.read_run`.
         tolerances: accepted errors; by default :meth:`Tolerances.of` the recording.
     """
-    t = Tolerances.of(recording) if tolerances is None else as_options(Tolerances, tolerances, "judge: tolerances")
+    t = Tolerances.of(recording) if tolerances is None else as_options(Tolerances, tolerances, "evaluate: tolerances")
     return (
         _finished(recording),
         _positions(cell, recording),
@@ -227,7 +227,7 @@ def _blame(recording: Recording, first: int, last: int) -> str:
 
 def _positions(cell: RobotCell, recording: Recording) -> Finding:
     question = "Are the joints inside their positions?"
-    closest = np.min([_room(cell, recording, part).min(axis=0) for part in _samples(recording)], axis=0)
+    closest = np.min([_within_limits(cell, recording, part).min(axis=0) for part in _samples(recording)], axis=0)
     j = int(closest.argmin())
     margin = float(closest[j])
     if not np.isfinite(margin):
@@ -236,7 +236,9 @@ def _positions(cell: RobotCell, recording: Recording) -> Finding:
         return Finding(question, wrong is None, "no joint has a limit", cause)
     unit, name = _amount(cell, j, abs(margin)), cell.joint_names[j]
     if margin < -POSITION_ROUNDING:
-        outside = _first_in(_samples(recording), lambda part: _room(cell, recording, part)[:, j] < -POSITION_ROUNDING)
+        outside = _first_in(
+            _samples(recording), lambda part: _within_limits(cell, recording, part)[:, j] < -POSITION_ROUNDING
+        )
         since = _at(recording, outside or 0)
         return Finding(question, False, f"{name} is {unit} outside", f"{_joint(cell, j)}: position, since {since}")
     return Finding(question, True, f"closest: {name}, {unit} inside")
@@ -255,11 +257,11 @@ def _first_in(parts: Iterable[slice], bad: Callable[[slice], Any]) -> int | None
     return None
 
 
-def _room(cell: RobotCell, recording: Recording, part: slice) -> Array:
+def _within_limits(cell: RobotCell, recording: Recording, part: slice) -> Array:
     """Distance of the commanded joints from the nearer position limit (T, nv) [rad or m]; inf without limit."""
     q = cell.positions(recording.q_command[part])
-    room: Array = np.minimum(q - cell.limits.lower, cell.limits.upper - q)
-    return room
+    distance: Array = np.minimum(q - cell.limits.lower, cell.limits.upper - q)
+    return distance
 
 
 def _rates(cell: RobotCell, recording: Recording) -> Finding:
@@ -319,7 +321,7 @@ def _held(
 
 
 def _within(a: float, of_a: str, b: float, of_b: str) -> str:
-    one, other = said(a, of_a), said(b, of_b)
+    one, other = error_text(a, of_a), error_text(b, of_b)
     both = f"within {one}" if not one.startswith("below") else one
     joined = not other.startswith("below") and both == one  # each has its own word
     return f"{both} and {'within ' if joined else ''}{other}"

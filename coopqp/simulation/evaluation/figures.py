@@ -8,7 +8,7 @@ from coopqp.control.interface import Status
 from coopqp.model.cell import RobotCell
 from coopqp.model.limits import LimitKind
 from coopqp.simulation.evaluation import metrics
-from coopqp.simulation.evaluation.metrics import said
+from coopqp.simulation.evaluation.metrics import error_text
 from coopqp.simulation.evaluation.readings import Readings
 from coopqp.simulation.evaluation.wrenches import read_loads
 from coopqp.simulation.recording.recording import Recording
@@ -50,13 +50,13 @@ def run_figures(cell: RobotCell, recording: Recording, readings: Readings) -> di
     sigma, loads = readings.sigma_min, read_loads(cell, recording)
     arm = int(np.unravel_index(int(np.nanargmin(sigma)), sigma.shape)[1]) if np.isfinite(sigma).any() else 0
     return {
-        "largest ε_p": said(readings.eps_p_mm.max(), " mm"),
-        "largest ε_o": said(readings.eps_o_deg.max(), "°"),
-        "arms against each other": said(readings.chain_mm.max(), " mm"),
-        "object off its path": said(readings.object_mm.max(), " mm"),
-        "object off at the end": said(readings.object_mm[-1], " mm"),
+        "largest ε_p": error_text(readings.eps_p_mm.max(), " mm"),
+        "largest ε_o": error_text(readings.eps_o_deg.max(), "°"),
+        "arms against each other": error_text(readings.chain_mm.max(), " mm"),
+        "object off its path": error_text(readings.object_mm.max(), " mm"),
+        "object off at the end": error_text(readings.object_mm[-1], " mm"),
         "smallest rate σ": f"{100.0 * float(recording.rate.min(initial=1.0)):.3g} %",
-        "smallest singular value": f"{said(sigma.min())} ({cell.arm_names[arm]})",
+        "smallest singular value": f"{error_text(sigma.min())} ({cell.arm_names[arm]})",
         "time": f"{float(recording.time[-1]):.4g} s",
         "steps": f"{recording.n_steps} of {1e3 * float(np.median(np.diff(recording.time))):.4g} ms",
         "worst status": worst_status(recording),

@@ -22,7 +22,7 @@ from coopqp.spatial import Array, cross
 ROUNDING = 1e-9
 
 
-def said(value: float, unit: str = "") -> str:
+def error_text(value: float, unit: str = "") -> str:
     """An error in words: three digits and the unit; "below 1e-9" for rounding, two digits below 1e-4."""
     value = float(value)
     if not math.isfinite(value):

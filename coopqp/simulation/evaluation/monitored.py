@@ -18,7 +18,7 @@ from coopqp.spatial import Array
 class Monitored:
     """A controller with a monitor. The monitor judges every step, and detects changes of the caller's arrays.
 
-    A controller that minds wrenches gets them, and the monitor sees them, and by how much the grasps give way.
+    A controller that needs wrenches gets them, and the monitor sees them, and by how much the grasps give way.
 
     Args:
         controller: the judged controller; use its other methods directly.
@@ -30,7 +30,7 @@ class Monitored:
         self.cell, self.grasp, self.dt = controller.cell, controller.grasp, controller.dt
         self.monitor = monitor or Monitor(controller.cell, controller.grasp)
         self._inner: Any = controller
-        self.minds_wrenches = bool(getattr(controller, "minds_wrenches", False))
+        self.needs_wrenches = bool(getattr(controller, "needs_wrenches", False))
         self.needs_servos = bool(getattr(controller, "needs_servos", False))
         self._last: ControlStep | None = None
         self._kept: tuple[Array, ...] = ()
@@ -59,7 +59,7 @@ class Monitored:
     ) -> ControlStep:
         """Compute and judge the controller's step."""
         kept, felt = _copy(q_measured), _copy(wrenches)
-        minded = {"wrenches": wrenches} if self.minds_wrenches else {}
+        minded = {"wrenches": wrenches} if self.needs_wrenches else {}
         step: ControlStep = self._inner.step(q_measured, dt=dt, **minded)
         self._unchanged(q_measured, kept, "q_measured")
         self._unchanged(wrenches, felt, "wrenches")

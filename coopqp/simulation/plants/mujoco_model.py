@@ -13,8 +13,9 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 
-from coopqp.errors import MissingExtraError, ModelError
+from coopqp.errors import ModelError
 from coopqp.forces.grips import Grip
+from coopqp.lazy import needed
 from coopqp.model.cell import Arm, RobotCell
 from coopqp.model.grasp import Grasp
 from coopqp.simulation.plants.physics_options import PhysicsOptions, Servos, joint_axes
@@ -37,11 +38,7 @@ def require_mujoco() -> Any:
     Raises:
         MissingExtraError: mujoco is not installed.
     """
-    try:
-        import mujoco
-    except ImportError as error:
-        raise MissingExtraError("mujoco", "mujoco") from error
-    return mujoco
+    return needed("mujoco", "mujoco", "mujoco")
 
 
 def tool_site(arm: str) -> str:

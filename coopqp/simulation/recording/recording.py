@@ -152,7 +152,7 @@ class Recording(Shown):
 
     def _arrays(self) -> dict[str, Array]:
         """The arrays of this run, by name."""
-        asked = [name for name in _ASKED if getattr(self, name) is not None]
+        asked = [name for name in _OPTIONAL if getattr(self, name) is not None]
         return {name: getattr(self, name) for name in (*_ARRAYS, *asked)}
 
     def save(self, path: str | Path) -> Path:
@@ -200,7 +200,7 @@ class Recording(Shown):
             size = unpacked_bytes(file)
             if size > MAX_RECORDING_BYTES:
                 raise RecordingError(f"{file} unpacks to {size} bytes, more than {MAX_RECORDING_BYTES}; not read.")
-            content = read_archive(file, ("text", *_ARRAYS), _ASKED)
+            content = read_archive(file, ("text", *_ARRAYS), _OPTIONAL)
             text = json.loads(str(content.pop("text")))
             recording = Recording(
                 notes=tuple(map(str, text["notes"])), metadata=dict(text["metadata"]), meshes=meshes, **content
@@ -255,7 +255,7 @@ _UNREADABLE = (
 _ARRAYS = ("time", "q", "q_command", "velocity", "clock", "rate", "status", "reference", "T_object_tool")
 
 #: Arrays that a run has only if asked.
-_ASKED = ("wrenches", "torques", "shift")
+_OPTIONAL = ("wrenches", "torques", "shift")
 
 
 def entries_of(limit: BindingLimit) -> list[Any]:
