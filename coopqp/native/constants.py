@@ -199,6 +199,7 @@ LAG_LATE = 2e-4  # and per acceleration of the object [s²]
 LAG_FOLLOWS = 0.015  # for which the lag makes itself felt this much later [s]
 LAG_SLOWEST = 5e-3  # slower objects show no lag [m/s]
 LONGEST_LAG = 0.15  # [s]
+LAG_LEARNS = 0.2  # what LAG does not explain in this time at the start shows how soft drives are [s]
 LAG_SETTLES = 0.1  # what the deviation is at rest is averaged over this time [s]
 GROWS = 2e-3  # closures of rigid grips also drift as fast as the object grows [m/s]
 SOFTEST = 0.05  # servos count as no softer than this share of what they are told to be

@@ -69,7 +69,7 @@ static void watch_lag(Core *c, double dt, Seen *seen) {
         for (int i = 0; i < 6; i++) mean[i] += c->deviation[6 * k + i] / c->arms;
     const int moves = speed > LAG_SLOWEST, rests = fmax(speed, sqrt(square6(c->lag_told))) <= LAG_SLOWEST;
     if (w->lag_begun == 0.0) { /* what moves shows no deviation at rest */
-        if (rests) memcpy(c->lag_base, mean, sizeof mean), w->lag_begun = 1.0, w->lag_high = LONGEST_LAG;
+        if (rests) memcpy(c->lag_base, mean, sizeof mean), w->lag_begun = dt, w->lag_high = LONGEST_LAG;
         return;
     }
     for (int i = 0; i < 6; i++) {
@@ -77,8 +77,13 @@ static void watch_lag(Core *c, double dt, Seen *seen) {
         if (moves) c->lag_way[i] = velocity[i] / speed;
         behind -= off[i] * c->lag_way[i];
     }
+    if (w->lag_begun < LAG_LEARNS) {
+        const double late = clamp(behind, 0.0, LAG * speed);
+        for (int i = 0; i < 6; i++) rest[i] = off[i] + late * c->lag_way[i];
+        w->lag_begun += dt, w->lag_soft = fmax(w->lag_soft, sqrt(square6(rest)));
+    }
     const double lag = moves ? clamp(behind / speed, w->lag_low, w->lag_high) : w->lag_high;
-    const double margin = (w->lag_suspects != 0.0 ? LET_GO : 1.0) * LAG_FLOOR + w->lag_noise +
+    const double margin = (w->lag_suspects != 0.0 ? LET_GO : 1.0) * LAG_FLOOR + w->lag_noise + w->lag_soft +
                           (LAG_LATE + lag * (LAG_FOLLOWS + 0.5 * lag)) * hasty;
     unexplained(c, off, behind, speed, rest);
     const double excess = sqrt(square6(rest)) - margin;

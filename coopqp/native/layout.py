@@ -47,7 +47,7 @@ Watch = _struct(
     "Watch",
     "samples watch_rate watch_arm silence pressed has_seen past_count past_head far_samples drift_speed drift_since "
     "drift_started var_drift covariance var_lag rest has_commanded behind gap pull "
-    "lag_low lag_high lag_haste lag_noise lag_begun lag_suspects",
+    "lag_low lag_high lag_haste lag_noise lag_begun lag_suspects lag_soft",
 )
 Ahead = _struct(
     "Ahead",

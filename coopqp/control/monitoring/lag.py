@@ -7,7 +7,8 @@ with one lag τ, which does not change. So bounds of τ are kept,
     ``lo, hi ← ∩ (b ∓ m) / |V|``,    b the part of −d along V,    m = floor + noise + κ a,
 
 with the acceleration a, and a deviation that no τ within them explains is an arm that has stopped, or something that
-the object touches. The bounds, and what the deviation is at rest, drift by a share of the way.
+the object touches. What 20 ms of lag do not explain in the first 0.2 s shows how soft the drives are, and is added to
+m. The bounds, and what the deviation is at rest, drift by a share of the way.
 """
 
 from __future__ import annotations
@@ -27,6 +28,7 @@ from coopqp.native.constants import (
     LAG_FOLLOWS,
     LAG_HOLDS,
     LAG_LATE,
+    LAG_LEARNS,
     LAG_SETTLES,
     LAG_SLOWEST,
     LARGEST_SLOPE,
@@ -89,6 +91,7 @@ class LagWatch:
         self._base: Array | None = None
         self._told, self._way = np.zeros(6), np.zeros(6)
         self._low, self._high, self._hasty, self._suspects = 0.0, LONGEST_LAG, 0.0, False
+        self._since, self._soft = 0.0, 0.0
 
     def look(self, deviation: Array, velocity: Array, noise: float, dt: float, *, settled: bool) -> tuple[float, int]:
         """Take one sample.
@@ -111,16 +114,20 @@ class LagWatch:
         speed = math.sqrt(velocity @ velocity)
         moves, rests = speed > LAG_SLOWEST, max(speed, math.sqrt(self._told @ self._told)) <= LAG_SLOWEST
         if self._base is None:  # what moves shows no deviation at rest
-            self._base = deviation.copy() if rests else None
+            self._base, self._since = (deviation.copy(), dt) if rests else (None, 0.0)
             return 0.0, -1
         base, off = self._base, deviation - self._base
         if moves:
             self._way = velocity / speed
         behind = -float(off @ self._way)
+        if self._since < LAG_LEARNS:
+            sags = off + min(max(behind, 0.0), LAG * speed) * self._way
+            self._since, self._soft = self._since + dt, max(self._soft, math.sqrt(sags @ sags))
         lag = min(max(behind / speed, self._low), self._high) if moves else self._high
         margin = (
             (LET_GO if self._suspects else 1.0) * LAG_FLOOR
             + noise
+            + self._soft
             + (LAG_LATE + lag * (LAG_FOLLOWS + 0.5 * lag)) * self._hasty
         )
         explained = min(max(behind, self._low * speed), self._high * speed)
