@@ -152,7 +152,7 @@ def meet(case: Case) -> Met:
     now, named, unnamed, ends, braking = 0.0, np.inf, 0, np.inf, 0.0
     mujoco.set_mjcb_passive(wall)  # readings are of the engine's last state, with its forces
     try:
-        while now < min(ends, seconds + 4.0):
+        while now < min(ends, seconds + 8.0):
             step = made.step(q, wrenches=plant.measured_wrenches())
             says = step.status is Status.HOLDING and "the object touches something" in step.reason
             named = min(named, now) if says else named

@@ -170,7 +170,7 @@ def run(fault: Fault, seed: int, *, longest: float = 10.0) -> tuple[bool, float,
     payload = Payload(mass=lift.object_mass, centre=lift.T_object_body.translation)
     controller = coopqp.ForceController(
         coopqp.QPController(lift.cell, lift.grasp, lift.path, dt=0.005),
-        coopqp.ForceOptions(stiffness=plant.stiffness, payload=payload, presses=True),
+        coopqp.ForceOptions(stiffness=plant.stiffness, payload=payload),
     )
     q = plant.reset(lift.q_start)
     controller.reset(q)

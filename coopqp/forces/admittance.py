@@ -59,6 +59,10 @@ _PRESS, _PRESS_LEAST, _PRESS_MOST, _PRESS_SPEED = 3.0, 1e-5, 5e-4, 5e-4
 #: Range of the measured ρ. Softer servos than given are not answered faster, as their damping need not be softer; but
 #: their deflection is judged by it.
 _STIFFEST = (0.05, 20.0)
+#: While the arms press at rest, where no grasp answers wrenches, sensors may be silent for so many times silent_time.
+_SILENT_AT_REST = 4.0
+#: Probability of lost samples in a row from which on they are silence, and the largest share of lost ones that counts.
+_NO_CHANCE, _MOST_LOST = 1e-6, 0.5
 #: Attributes that change.
 _VARYING = ("_pressed", "_pressing", "_waited", "_felt", "_grows", "_base", "_soft")
 #: A contact pushes with at least this share of the payload's weight, and this force [N], if nothing else is told.
@@ -361,6 +365,18 @@ class Relaxation:
     def accepted(stiffer: float) -> float:
         """A measured ρ within the range that is answered."""
         return float(np.clip(stiffer, *_STIFFEST))
+
+    def wait_for(self, lost: float | None, dt: float) -> None:
+        """Find how long a sensor may be silent, from the share of its samples that it loses at random.
+
+        So many lost samples in a row are silence, and no chance. While the share is not known (None), longer.
+        """
+        silence = self.options.silent_time
+        if lost is None:
+            silence *= _SILENT_AT_REST
+        elif lost > 0.0:
+            silence = max(silence, dt * math.log(_NO_CHANCE) / math.log(min(lost, _MOST_LOST)))
+        self.scalars.wrench_silence = silence
 
     def slow_down(self, delay: float, dt: float) -> bool:
         """Relax no faster than wrenches that come after ``delay`` [s] allow; false if that is too late for any pace."""

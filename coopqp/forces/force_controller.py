@@ -309,6 +309,7 @@ class ForceController:
                 self._compare(q)
             else:
                 self._check, self._place = check, self.shift
+                self._relaxation.wait_for(None, self.dt)
                 self._go_on(PRESSING)
             if m.sensor_fault:
                 return
@@ -329,6 +330,7 @@ class ForceController:
         shift = check.press(w, self.controller.commanded, q, dt)
         if check.disturbed:  # sensors are compared with the servos, and the arms relax from where they are
             self._check, self._disturbed = None, True
+            self._relaxation.wait_for(0.0, self.dt)
             self._go_on(CHECKING)
             return
         self._relaxation.shift[:] = self._place + shift
@@ -336,6 +338,7 @@ class ForceController:
         if found is None:
             return
         self._found, self._check = found, None
+        self._relaxation.wait_for(max(finding.lost for finding in found.findings), self.dt)
         self._relaxation.take_stiffness(found.stiffer, found.arms_stiffer, self.controller.commanded)
         wrong = [k for k, finding in enumerate(found.findings) if not (finding.fine or finding.late)]
         if not wrong and not self._relaxation.slow_down(found.latest, self.dt):

@@ -58,7 +58,7 @@ class ForceOptions:
     presses: Annotated[
         bool,
         Doc("arms press each other at the start, to find wrong sensors; or sensors are compared with servos at rest"),
-    ] = False
+    ] = True
     sensor_tolerance: Annotated[float, Doc("accepted difference of a sensor from its servos' estimate [N]")] = 10.0
     move_below: Annotated[float, Doc("internal force below which the object begins to move [N]")] = 5.0
     slow_from: Annotated[float, Doc("internal force from which on the object moves more slowly [N]")] = 20.0
@@ -70,7 +70,12 @@ class ForceOptions:
             "fifth of the weight and at least 25 N where grips hold a payload that is told; inf for none"
         ),
     ] = None
-    silent_time: Annotated[float, Doc("time without a new wrench after which the object is held [s]")] = 0.05
+    silent_time: Annotated[
+        float,
+        Doc(
+            "time without a new wrench after which the object is held [s]; longer for sensors that lose some at random"
+        ),
+    ] = 0.05
 
     def minded(self, arms: int) -> Array:
         """The directions that each of ``arms`` minds (N, 6): :attr:`directions`, or those of the palms.

@@ -27,9 +27,9 @@ from numpy.typing import NDArray
 from coopqp.forces.presses import of_grip
 from coopqp.spatial import Array
 
-#: Delays that are tried [s], and values of τ [s].
+#: Delays that are tried [s], and values of τ [s]: servos of a tenth of their stiffness may have damping for all of it.
 DELAYS = np.arange(0.0, 0.2001, 0.005)
-LEADS = np.array([0.0, 0.008, 0.016, 0.024, 0.032, 0.04, 0.056, 0.076, 0.1, 0.13])
+LEADS = np.array([0.0, 0.008, 0.016, 0.024, 0.032, 0.04, 0.056, 0.076, 0.1, 0.13, 0.18, 0.25, 0.34, 0.48])
 #: Part of a reading that the model may miss, and least noise of forces [N] and torques [N·m].
 _MODEL, _LEAST_NOISE = 0.05, np.array([0.1, 0.01])
 _PARTS = _FORCE, _TORQUE = slice(0, 3), slice(3, 6)

@@ -158,6 +158,8 @@ TURN_LENGTH = 0.3  # 1 rad of turning counts as this many metres where direction
 AT_REST = 1e-3  # commanded joint velocities below this are rest [rad/s or m/s]
 SERVOS_SETTLED = 0.2  # after this long at rest servos have settled [s]
 UNBALANCED = 0.3  # share of the largest wrench from which on wrenches do not cancel
+PACE_TIME = 0.01  # the pace of a force is seen over this time [s]
+SOON = 0.025  # a force from LET_GO of the limit on holds where its pace would bring it there in this time [s]
 STRAIGHT_BACK = 0.95  # cosine from which on an arm's way back is taken for the cause
 
 # -- forces from the sensors -------------------------------------------------------------------------------------------
@@ -191,6 +193,14 @@ SERVO_HOLDS = 1.2e-3  # and holds it from this on [m]
 SERVO_LATE = 4e-4  # and per acceleration of the joints, for what damping and late wrenches make of it [s²]
 SERVO_PEAK = 0.05  # an acceleration is remembered for this time [s]
 HASTE_FILTER = 0.03  # accelerations are filtered: a single step of arms that relax is none [s]
+LAG_FLOOR = 1e-3  # arms that are farther from where any lag would put them have an arm that has stopped [m],
+LAG_HOLDS = 5e-4  # and are held from this on beyond it [m]
+LAG_LATE = 2e-4  # and per acceleration of the object [s²]
+LAG_FOLLOWS = 0.015  # for which the lag makes itself felt this much later [s]
+LAG_SLOWEST = 5e-3  # slower objects show no lag [m/s]
+LONGEST_LAG = 0.15  # [s]
+LAG_LEARNS = 0.2  # what LAG does not explain in this time at the start shows how soft drives are [s]
+LAG_SETTLES = 0.1  # what the deviation is at rest is averaged over this time [s]
 GROWS = 2e-3  # closures of rigid grips also drift as fast as the object grows [m/s]
 SOFTEST = 0.05  # servos count as no softer than this share of what they are told to be
 CAP_FALLS = 0.1  # the cap by arms out of step falls from 1 to 0 in this time: a jolt is a force of its own [s]

@@ -44,7 +44,8 @@ Loop = _struct(
 Watch = _struct(
     "Watch",
     "samples watch_rate watch_arm silence pressed has_seen past_count past_head far_samples drift_speed drift_since "
-    "drift_started var_drift covariance var_lag rest has_commanded behind gap pull",
+    "drift_started var_drift covariance var_lag rest has_commanded behind gap pull "
+    "lag_low lag_high lag_haste lag_noise lag_begun lag_suspects lag_soft",
 )
 Ahead = _struct(
     "Ahead",
@@ -105,7 +106,7 @@ KINDS = (
 REASONS = (
     "NO_REASON", "BAD_DT", "NOT_FINITE", "OFF_CIRCLE", "JUMPED", "CHAIN_APART", "CHAIN_PARTED", "OUT_OF_STEP_BY",
     "WAS_OUT_OF_STEP", "STALLED", "ALL_STALLED", "FORCE", "HANGS_BEHIND", "PATH_FAILED", "PATH_JUMPS",
-    "LOOK_AHEAD_FAILED", "CONSTRAINT_FAILED", "OFF_SERVOS", "TOUCHING",
+    "LOOK_AHEAD_FAILED", "CONSTRAINT_FAILED", "OFF_SERVOS", "TOUCHING", "OFF_LAG", "FORCE_GROWS",
 )  # fmt: skip
 
 
@@ -118,15 +119,16 @@ def _fields(text: str) -> tuple[tuple[str, str], ...]:
 CONFIG = _fields(
     "arm_start n; arm_size n; link_R 9 * nv; link_p 3 * nv; prismatic nv; continuous nv; q_index nv; object_R 9 * n; "
     "object_p 3 * n; tool_p 3 * n; scale nv; places 12 * n; shares 6 * n; low nv; high nv; speed nv; acceleration nv; "
-    "unit unknowns; at_grasps 36; softness nv; posture_cap nv; posture_bounded nv; posture_middle nv; plan_speed nv; "
-    "plan_acceleration nv; plan_jump nv; plan_room nv; slope_change nv; most_move nv; options Options"
+    "unit unknowns; at_grasps 36; levers 3 * n; softness nv; posture_cap nv; posture_bounded nv; posture_middle nv; "
+    "plan_speed nv; plan_acceleration nv; plan_jump nv; plan_room nv; slope_change nv; most_move nv; options Options"
 )
 STATE = _fields(
     "loop Loop; positions nv; velocity nv; before nv; predicted 6 * n; foreseen 6 * n; mismatch 6 * n; "
     "grasp_shift 6 * n; asked_shift 6 * n; drift 6; correcting 6; posture_target nv; quiet_centre nv; quiet_reach nv; "
     "quiet_ahead_centre nv; quiet_ahead_reach nv; watch Watch; deviation 6 * n; away 6 * n; away_step 6 * n; noise n; "
     "stalled n; widest n; lost n; seen nq; history 2 * nv * past; slow_drift 6 * n; lag 6 * n; apart 6 * n; "
-    "drift_last nv; deflection nv; way nv; commanded nv; forces n; ahead Ahead; ahead_R 9 * n; ahead_p 3 * n; "
+    "drift_last nv; lag_base 6; lag_told 6; lag_way 6; deflection nv; way nv; commanded nv; forces n; "
+    "slow_forces n; ahead Ahead; ahead_R 9 * n; ahead_p 3 * n; "
     "kinks MOST_KINKS; seek_low 12; seek_high 12; told_velocity nv; knots Knot * MOST_KNOTS; "
     "knot_positions nv * MOST_KNOTS; knot_slope nv * MOST_KNOTS; knot_curvature nv * MOST_KNOTS; "
     "knot_edges nv * MOST_KNOTS"

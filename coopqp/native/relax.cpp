@@ -65,10 +65,8 @@ static Hearing feel(int arms, const MindingArrays *f, const double *wrenches, do
     return heard;
 }
 
-/* The share of that rate at which the path asks the grasps to move on: past its end a step says 1 again, however slow it came. */
-static double share_of_way(const Minding *m, double rate) {
-    return m->at_end != 0.0 ? minimum(rate, m->allowed) : rate;
-}
+/* The share of its full rate at which the path asks the grasps to move on: a step to its end says 1 again, however slow it came. */
+static double share_of_way(const Minding *m, double rate) { return minimum(rate, m->allowed); }
 
 /* A slow object shows little of its drift, which would be learned with the square of the rate. */
 static double square_of_slow(double rate) {

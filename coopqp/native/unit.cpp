@@ -20,6 +20,7 @@ namespace BUILD {
 #include "program.cpp"
 #include "watch.cpp"
 #include "residual.cpp"
+#include "lagging.cpp"
 #include "apart.cpp"
 #include "quiet.cpp"
 #include "sharing.cpp"

@@ -233,6 +233,7 @@ static void watch_distances(Core *c, const double *q, const double *away_given, 
     count_far(c, away, apart, out_of_step, unfiltered);
     const double largest = sqrt(largest_square6(c, out_of_step));
     const double worst = largest - o->noise_margin * noise;
+    c->watch->lag_noise = o->noise_margin * noise / sqrt((double)c->arms) + fmax(worst, 0.0); /* see watch_lag() */
     if (worst <= o->slow_from || c->watch->samples < FEW_SAMPLES) return;
     const int arm = most_out_of_step(c, out_of_step, largest);
     hold_for(seen, OUT_OF_STEP_BY, arm, sqrt(square6(out_of_step + 6 * arm)), 0.0);
@@ -244,8 +245,14 @@ static void watch_distances(Core *c, const double *q, const double *away_given, 
 
 /* -- stalls -------------------------------------------------------------------------------------------------------- */
 
-/* Keep this sample in the ring; the oldest one. */
-static const double *remember(Core *c, const double *positions) {
+/* The sample so many samples before the last one, or the oldest. */
+static const double *sample_before(const Core *c, int samples) {
+    const int count = (int)c->watch->past_count, last = (int)c->watch->past_head + c->past - 1;
+    return c->history + 2 * (size_t)c->joints * (size_t)((last - (samples < count ? samples : count - 1)) % c->past);
+}
+
+/* Keep this sample in the ring. */
+static void remember(Core *c, const double *positions) {
     Watch *w = c->watch;
     const size_t joints = (size_t)c->joints;
     double *slot = c->history + 2 * joints * (size_t)w->past_head;
@@ -253,7 +260,20 @@ static const double *remember(Core *c, const double *positions) {
     memcpy(slot + joints, c->positions, sizeof(double) * joints);
     w->past_head = w->past_head + 1.0 < c->past ? w->past_head + 1.0 : 0.0;
     w->past_count = fmin(w->past_count + 1.0, c->past);
-    return c->history + (w->past_count < c->past ? 0 : 2 * joints * (size_t)w->past_head);
+}
+
+/* The least of the largest motions that the joints of arm k were commanded to make in as many samples, now or up to LAG ago: one
+ * of them is what a late arm should have made. */
+static double least_told(const Core *c, int k, double told) {
+    const int start = (int)c->arm_start[k], end = start + (int)c->arm_size[k], samples = (int)c->options->stall_samples;
+    const int late = (int)c->watch->past_count - 1 - samples;
+    for (int i = 1; i <= late; i++) {
+        const double *from = sample_before(c, samples + i) + c->joints, *to = sample_before(c, i) + c->joints;
+        double most = 0.0;
+        for (int j = start; j < end; j++) most = fmax(most, fabs(to[j] - from[j]));
+        told = fmin(told, most);
+    }
+    return told;
 }
 
 /* Largest motions of the joints of arm k since an older sample, as commanded and measured, and what lies between. */
@@ -288,13 +308,17 @@ static void note_stalls(Core *c, const double *told, const double *moved, const 
     int any = 0, follows = 0;
     for (int k = 0; k < c->arms; k++) {
         int moving = told[k] > STILL_COMMAND;
-        /* With less of a gap it is not stalled but late: it may be turning round. */
+        /* With less of a gap it is not stalled but late; so it is where it turns round a little later than told. */
         int still = moving && moved[k] < o->stall_share * told[k] && gap[k] >= CAUGHT_UP;
+        if (still) {
+            const double least = least_told(c, k, told[k]);
+            still = least > STILL_COMMAND && moved[k] < o->stall_share * least;
+        }
         stands[k] = still;
         any |= still;
         follows |= moving && moved[k] > FOLLOWS * told[k];
     }
-    const int full = c->watch->past_count >= c->past;
+    const int full = c->watch->past_count > o->stall_samples;
     *silence = full && any && !follows ? *silence + dt : 0.0;
     if (!full || !any || !(follows || *silence > o->silent_time)) return;
     for (int k = 0; k < c->arms; k++) {
@@ -307,7 +331,8 @@ static void note_stalls(Core *c, const double *told, const double *moved, const 
 /* Of arms in rigid grips that mind forces, their wrenches say more: here, only whether all have stopped. */
 static void watch_stall(Core *c, const double *positions, double dt, int rigid, Seen *seen) {
     double *told = c->scratch, *moved = told + c->arms, *gap = moved + c->arms;
-    const double *before = remember(c, positions);
+    remember(c, positions);
+    const double *before = sample_before(c, (int)c->options->stall_samples);
     for (int k = 0; k < c->arms; k++) moves_of(c, k, positions, before, told + k, moved + k, gap + k);
     let_go_who_caught_up(c, gap);
     note_stalls(c, told, moved, gap, dt);
@@ -454,15 +479,28 @@ static int read_forces(Core *c, const double *positions, double dt) {
     return most;
 }
 
-/* Arms that press too hard on the object hold it, until they press less than half as hard. */
+/* What the force of arm k comes to soon at its pace, from LET_GO of the limit on. */
+static double force_soon(Core *c, int k, double dt) {
+    c->slow_forces[k] += dt / (PACE_TIME + dt) * (c->forces[k] - c->slow_forces[k]);
+    if (!(c->forces[k] >= LET_GO * c->options->force_limit)) return c->forces[k];
+    return c->forces[k] + SOON / PACE_TIME * fmax(c->forces[k] - c->slow_forces[k], 0.0);
+}
+
+/* Arms that press too hard on the object, or soon will, hold it until they press less than half as hard. */
 static void watch_forces(Core *c, const double *positions, double dt, Seen *seen) {
     Watch *w = c->watch;
     const double limit = c->options->force_limit;
     const int most = read_forces(c, positions, dt);
-    w->pressed = !(c->forces[most] < (w->pressed != 0.0 ? LET_GO * limit : limit));
+    double soon = 0.0;
+    for (int k = 0; k < c->arms; k++) {
+        const double own = force_soon(c, k, dt);
+        if (k == most) soon = own;
+    }
+    const double force = c->forces[most];
+    w->pressed = !(soon < (w->pressed != 0.0 ? LET_GO * limit : limit));
     if (w->pressed == 0.0) return;
     if (w->behind < 0.0)
-        hold_for(seen, FORCE, most, c->forces[most], 0.0);
+        hold_for(seen, force < limit && soon >= limit ? FORCE_GROWS : FORCE, most, force, soon);
     else
         hold_for(seen, HANGS_BEHIND, (int)w->behind, w->gap, w->pull);
 }
@@ -470,6 +508,7 @@ static void watch_forces(Core *c, const double *positions, double dt, Seen *seen
 /* Of arms that mind forces; see residual.cpp. */
 static void add_shift(const Core *c, double *away);
 static void watch_servos(Core *c, const double *away, double dt, Seen *seen);
+static void watch_lag(Core *c, double dt, Seen *seen);
 
 /* -- one sample ---------------------------------------------------------------------------------------------------- */
 
@@ -515,6 +554,7 @@ static void watch_sample(Core *c, const double *positions, const double *q, cons
         if (minds && o->slow_from >= 0.0) watch_servos(c, away, dt, &seen);
         if (o->stall_samples > 0.0) watch_stall(c, positions, dt, minds, &seen);
         if (o->watches_force != 0.0) watch_forces(c, positions, dt, &seen);
+        if (c->arms > 1 && !c->minding && o->watches_force == 0.0 && o->slow_from >= 0.0) watch_lag(c, dt, &seen);
         if (o->recovery_time > 0.0) recover(c, dt, &seen);
         if (c->minding && c->minding->touches != 0.0 && !seen.fault) hold_for(&seen, TOUCHING, -1, 0.0, 0.0); /* at once */
     }
@@ -527,7 +567,7 @@ static void watch_sample(Core *c, const double *positions, const double *q, cons
 
 static void watch_reset(Core *c) {
     const size_t arms = sizeof(double) * (size_t)c->arms, joints = sizeof(double) * (size_t)c->joints;
-    double *of_arms[] = {c->noise, c->stalled, c->widest, c->lost, c->forces};
+    double *of_arms[] = {c->noise, c->stalled, c->widest, c->lost, c->forces, c->slow_forces};
     double *of_distances[] = {c->deviation, c->away, c->away_step, c->slow_drift, c->lag, c->apart};
     *c->watch = Watch{};
     c->watch->watch_rate = 1.0;
@@ -536,6 +576,9 @@ static void watch_reset(Core *c) {
     for (size_t i = 0; i < sizeof of_arms / sizeof *of_arms; i++) memset(of_arms[i], 0, arms);
     for (size_t i = 0; i < sizeof of_distances / sizeof *of_distances; i++) memset(of_distances[i], 0, 6 * arms);
     memset(c->told_velocity, 0, joints);
+    memset(c->lag_base, 0, 6 * sizeof(double));
+    memset(c->lag_told, 0, 6 * sizeof(double));
+    memset(c->lag_way, 0, 6 * sizeof(double));
     memset(c->deflection, 0, joints);
     memset(c->way, 0, joints);
 }

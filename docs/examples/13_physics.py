@@ -61,7 +61,7 @@ plant = coopqp.simulation.PhysicsPlant.of(
 
 
 def drag_along(stiffness):
-    """The largest force of an arm after each step [N], monitored if there is a stiffness."""
+    """The largest force of an arm after each step [N], by servos if there is a stiffness."""
     supervision = coopqp.SupervisionOptions(stiffness=stiffness, force_limit=300.0)
     options = coopqp.QPOptions(supervision=supervision)
     cell = lift.cell.with_limits(acceleration=10.0)
@@ -82,7 +82,7 @@ if "--out" in sys.argv:
     import matplotlib.pyplot as plt
 
     figure, axes = plt.subplots(figsize=(8, 4), layout="constrained")
-    for forces, label in ((without, "no watch"), (watched, "watch at 300 N")):
+    for forces, label in ((without, "stiffness not given"), (watched, "stiffness given")):
         axes.semilogy(0.002 * np.arange(len(forces)), forces, label=label)
     axes.axvline(1.2, color="#b00020", ls="--", lw=1)
     axes.annotate("servos of slave_1 stop", (1.19, 2000), color="#b00020", ha="right")

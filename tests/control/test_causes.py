@@ -65,7 +65,17 @@ def test_every_reason_has_a_cause() -> None:
         "BAD_DT", "NOT_FINITE", "OFF_CIRCLE", "JUMPED", "PATH_FAILED", "PATH_JUMPS", "LOOK_AHEAD_FAILED",
         "CONSTRAINT_FAILED",
     }  # fmt: skip
-    apart = {"OUT_OF_STEP_BY", "WAS_OUT_OF_STEP", "STALLED", "ALL_STALLED", "FORCE", "HANGS_BEHIND", "OFF_SERVOS"}
+    apart = {
+        "OUT_OF_STEP_BY",
+        "WAS_OUT_OF_STEP",
+        "STALLED",
+        "ALL_STALLED",
+        "FORCE",
+        "HANGS_BEHIND",
+        "OFF_SERVOS",
+        "OFF_LAG",
+        "FORCE_GROWS",
+    }
     assert {name for name, cause in named.items() if cause is Cause.INPUT} == inputs
     assert {name for name, cause in named.items() if cause is Cause.TRACKING} == apart
     assert named["CHAIN_PARTED"] is Cause.COMMANDED_CHAIN

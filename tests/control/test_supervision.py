@@ -61,27 +61,28 @@ def test_the_noise_counts_alike_with_steps_of_any_length(dt: float) -> None:
         assert not seen.hold
 
 
-def test_an_arm_that_turns_round_late_has_not_stalled() -> None:
+@pytest.mark.parametrize(("late", "amplitude", "dt"), [(10, 0.05, 1e-3), (8, 0.3, 2.5e-3), (20, 0.5, 1e-3)])
+def test_an_arm_that_turns_round_late_has_not_stalled(late: int, amplitude: float, dt: float) -> None:
     """With latency, a reversing arm seems to stand while its command moves and the other arms follow."""
     lift = paper_lift()
-    watch = Supervision(lift.cell, lift.grasp, SupervisionOptions())
-    late, amplitude, still = 10, 0.05, np.zeros((3, 6))  # it turns with 2 rad/s²
+    watch = Supervision(lift.cell, lift.grasp, SupervisionOptions(), dt=dt)
+    still = np.zeros((3, 6))
 
     def at(t: float) -> Array:
         q = np.full(18, 0.3 * t)
         q[6:12] = amplitude * np.cos(2.0 * np.pi * t)  # slave_1 turns round at 0.5 s
         return q
 
-    for i in range(1000):
-        seen = watch.watch(at(1e-3 * max(i - late, 0)), at(1e-3 * i), still, 1e-3)
-        assert not seen.hold, f"{i} ms: {seen.reason}"
+    for i in range(round(1.0 / dt)):
+        seen = watch.watch(at(dt * max(i - late, 0)), at(dt * i), still, dt)
+        assert not seen.hold, f"{dt * i:.4f} s: {seen.reason}"
 
 
 @pytest.mark.parametrize("speed", [0.06, 0.3, 1.0])
 def test_a_stall_is_known_once_it_opens_a_gap(speed: float) -> None:
     """A stall is detected when a joint is 0.5 mrad from its command, plus the samples of the decision."""
     lift = paper_lift()
-    watch = Supervision(lift.cell, lift.grasp, SupervisionOptions())
+    watch = Supervision(lift.cell, lift.grasp, SupervisionOptions(), dt=1e-3)
     still, stalls = np.zeros((3, 6)), 100
     for i in range(200):
         command = np.full(18, 1e-3 * i * speed)
@@ -156,12 +157,33 @@ def test_arms_that_press_too_hard_are_held_until_they_press_half_as_hard() -> No
     probe = StressWatch(lift.cell, lift.grasp, stiffness=np.full(18, 1e5), delay=0.0, filter_time=0.0)
     probe.read(q - unit, q, 1e-3)
     per_newton = unit / probe.forces[1]
-    held = []
-    for force in (50.0, 99.0, 101.0, 90.0, 51.0, 49.0, 99.0):
-        seen = watch.watch(q - force * per_newton, q, still, 1e-3)
+    held, last = [], 0.0
+    for force in (50.0, 95.0, 101.0, 90.0, 51.0, 49.0, 95.0):
+        for now in np.linspace(last, force, 100):  # slowly
+            seen = watch.watch(q - now * per_newton, q, still, 0.01)
+        last = force
         held.append(seen.hold)
-        assert seen.reason.startswith(f"{force:.0f} N at the grasp of arm slave_1") is seen.hold
+        assert seen.reason.startswith(f"{force:.0f} N at the grasp of arm slave_1 by its servos (limit") is seen.hold
     assert held == [False, False, True, True, True, False, False]
+
+
+@pytest.mark.parametrize(("pace", "force"), [(1e3, 75.0), (2.5e3, 50.0), (1e4, 50.0), (100.0, 97.5)])
+def test_arms_that_will_press_too_hard_are_held_before_they_do(pace: float, force: float) -> None:
+    """A force that would come to its limit within 25 ms holds, from half of it on."""
+    lift = paper_lift()
+    options = SupervisionOptions(stiffness=1e5, force_limit=100.0, filter_time=0.0)
+    watch = Supervision(lift.cell, lift.grasp, options)
+    probe = StressWatch(lift.cell, lift.grasp, stiffness=np.full(18, 1e5), delay=0.0, filter_time=0.0)
+    unit, dt = 1e-4 * np.eye(18)[7], 1e-4
+    probe.read(lift.q_start - unit, lift.q_start, dt)
+    grows = pace * dt * unit / probe.forces[1]
+    for i in range(round(100.0 / (pace * dt))):
+        seen = watch.watch(lift.q_start - i * grows, lift.q_start, np.zeros((3, 6)), dt)
+        if seen.hold:
+            break
+    assert pace * dt * i == pytest.approx(force, abs=5.0 + pace * dt)
+    assert "N at the grasp of arm slave_1 by its servos, soon 1" in seen.reason
+    assert seen.cause is Cause.TRACKING
 
 
 def watch_of(**options: Any) -> Callable[[float, float], Watch]:

@@ -598,6 +598,31 @@ def test_late_wrenches_are_named_and_relaxed_more_slowly(task: Scenario) -> None
 
 
 @pytest.mark.slow
+def test_samples_lost_at_random_are_no_silence_but_none_at_all_are(task: Scenario) -> None:
+    """In steps of 7.5 ms, seven lost ones in a row are 52 ms: of 30 % lost ones they come in one start of three."""
+    world = Elastic(task.cell, task.grasp, late=1)
+    held, rng = HoldPath(task.path.pose(0.0), duration=100.0), np.random.default_rng(3)
+    made = ForceController(QPController(task.cell, task.grasp, held, dt=task.dt), {"stiffness": STIFF})
+    made.reset(task.q_start)
+    commanded, runs = task.q_start, np.zeros((2, 3), dtype=int)  # of lost ones in a row, now and the longest
+    for i in range(1000):
+        measured, wrenches = world.answer(commanded)
+        lost = rng.random(3) < 0.3
+        lost[1] |= i >= 900
+        runs[0] = np.where(lost, runs[0] + 1, 0)
+        runs[1] = np.maximum(runs[1], runs[0])
+        step = made.step(measured, wrenches=np.where(lost[:, None], np.nan, wrenches))
+        commanded = step.q_next
+        if step.status is Status.HOLDING:
+            break
+    assert made.sensors is not None
+    assert [finding.lost for finding in made.sensors.findings] == pytest.approx([0.3] * 3, abs=0.06)
+    assert 900 < i < 920
+    assert "no new wrench of arm slave_1" in step.reason
+    assert runs[1].max() * task.dt > made.options.silent_time
+
+
+@pytest.mark.slow
 @pytest.mark.parametrize("softer", [(0.1, 0.1, 0.1), (1.0, 1.0, 0.3), (2.0, 1.0, 1.0)])
 def test_presses_find_how_stiff_each_arm_is_and_blame_no_sensor(softer: tuple[float, ...]) -> None:
     """They had: a sensor with 14 N too much at rest, or with torques that were 0.41 times the real ones."""
@@ -671,7 +696,9 @@ class Pushed:
         cell = task.cell if acceleration is None else task.cell.with_limits(acceleration=acceleration)
         options = {"kernel": kernel, "supervision": {"slow_from": None}}
         inner = QPController(cell, task.grasp, self.path, dt=task.dt, options=options)
-        self.made = ForceController(inner, {"stiffness": STIFF, "payload": self.payload, "sensor_tolerance": 1e3})
+        # The wrenches do not answer presses.
+        told = {"stiffness": STIFF, "payload": self.payload, "sensor_tolerance": 1e3, "presses": False}
+        self.made = ForceController(inner, told)
         self.made.reset(task.q_start)
         self.cell, self.grasp, self.q, self.steps = cell, task.grasp, task.q_start, list[Any]()
 

@@ -44,9 +44,12 @@ def pressed(stiffer: tuple[float, ...] = (1.0, 1.0, 1.0)) -> tuple[Array, Array,
     return times, motions, np.einsum("kij,tkj->tki", TO_TOOLS, objects.reshape(motions.shape)), soft
 
 
-def fitted(sensors: dict[str, WristSensor], seed: int, stiffer: tuple[float, ...] = (1.0, 1.0, 1.0)) -> SensorFit:
-    """What is found of sensors that read otherwise, with noise, where arms are stiffer than told."""
+def fitted(
+    sensors: dict[str, WristSensor], seed: int, stiffer: tuple[float, ...] = (1.0, 1.0, 1.0), lead: float = 0.0
+) -> SensorFit:
+    """What is found of sensors that read otherwise, with noise, where arms are stiffer than told, and damped."""
     times, motions, wrenches, soft = pressed(stiffer)
+    wrenches = wrenches + lead * np.gradient(wrenches, times, axis=0)
     rng, maps = np.random.default_rng(seed), SensorMaps(LIFT.cell, sensors)
     late = round(LATE / DT)
     heard = wrenches[np.maximum(np.arange(len(times)) - late, 0)]
@@ -97,6 +100,15 @@ def test_swapped_sensors_are_found_and_right_ones_are_right() -> None:
     assert right.fine, right.explain()
     assert [f.delay for f in right.findings] == pytest.approx([LATE] * 3, abs=0.004)
     assert right.explain() == "all sensors are right"
+
+
+@pytest.mark.parametrize("lead", [0.0, 0.032, 0.3])
+def test_damping_makes_no_arm_stiffer(lead: float) -> None:
+    """Servos of a tenth of their stiffness, with damping for all of it, lead by 0.3 s: they had been 27 % stiffer."""
+    fit = fitted({}, 6, lead=lead)
+    assert fit.gains == pytest.approx(np.ones((3, 2)), abs=0.1)
+    assert fit.delays == pytest.approx([LATE] * 3, abs=0.01)
+    assert fit.lead == pytest.approx(lead, abs=0.1 * lead + 0.02)
 
 
 @pytest.mark.parametrize("arm", range(3))

@@ -11,6 +11,7 @@ import coopqp.native._core as native
 from coopqp.constraints.velocity import MOST_ROWS
 from coopqp.control.core import NotForTheCore
 from coopqp.control.lookahead.options import PlanLimits, PreviewOptions
+from coopqp.control.monitoring.lag import grasp_levers, kept_samples
 from coopqp.control.monitoring.supervision import grasp_lengths
 from coopqp.control.options import QPOptions
 from coopqp.control.step.velocity_bounds import VelocityBox
@@ -71,17 +72,19 @@ def build_memory(
     Raises:
         NotForTheCore: a joint type, or an order of joints, that the core does not know.
     """
-    cell, past = chain.cell, 1 + (options.supervision.stall_samples or 1)
+    cell, past = chain.cell, kept_samples(options.supervision, dt)
     memory = Memory(chain, unknowns=unit.size, past=past, arithmetic=arithmetic)
     at, limits = memory.at, cell.limits
     _put_links(chain, at)
     at["near_cos"][:] = 1.0  # of position 0
     stiffness, posture = options.supervision.stiffness, options.posture
+    at_grasps = grasp_lengths(chain.grasp)
     bounded = np.isfinite(limits.lower) & np.isfinite(limits.upper)
     fields = {
         "scale": chain.scale, "shares": shares.ravel(), "unit": unit, "low": limits.lower, "high": limits.upper,
         "speed": limits.velocity, "acceleration": limits.acceleration,
-        "most_move": np.where(box.unlimited, LARGEST_MOVE, np.inf), "at_grasps": grasp_lengths(chain.grasp).ravel(),
+        "most_move": np.where(box.unlimited, LARGEST_MOVE, np.inf), "at_grasps": at_grasps.ravel(),
+        "levers": grasp_levers(chain.grasp, at_grasps[5, 5]).ravel(),
         "softness": 0.0 if stiffness is None else 1.0 / np.asarray(stiffness, dtype=float),
         "posture_cap": posture.speed_share * np.where(np.isfinite(limits.velocity), limits.velocity, 1.0),
         "posture_bounded": bounded,

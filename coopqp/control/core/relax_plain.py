@@ -205,7 +205,7 @@ def back_within_room(m: Any, far: float, dt: float) -> float:
 def _give_way(m: Any, x: dict[str, Array], dt: float, rate: float) -> None:
     o = layout.Minding.from_buffer_copy(m)
     size, soft, way = o.size, min(max(o.stiffer, SOFTEST), 1.0), np.zeros_like(x["shift"])
-    asks = min(rate, o.allowed) if o.at_end else rate  # past its end a step says 1 again, however slow it came
+    asks = min(rate, o.allowed)  # a step to the path's end says 1 again, however slow it came
     if size > o.dead_band:
         yields = (x["yields"] @ x["internal"].ravel()).reshape(-1, 6)
         way = (o.dead_band / size - 1.0) / (max(o.stiffer, 1.0) * o.relax_time) * yields

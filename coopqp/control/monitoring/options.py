@@ -54,7 +54,8 @@ class SupervisionOptions:
         int | None,
         Doc(
             "number of samples in which an arm moves less than stall_share of its command, while another "
-            "follows its own, until it has stalled (once a joint is 0.5 mrad or 0.5 mm from its command)"
+            "follows its own, until it has stalled (once a joint is 0.5 mrad or 0.5 mm from its command); an arm that "
+            "turned round or began to move within 20 ms before may just be late"
         ),
     ] = 4
     stall_share: Annotated[
@@ -83,8 +84,9 @@ class SupervisionOptions:
     force_limit: Annotated[
         float,
         Doc(
-            "force at a grasp, by the servos, at which the object is held [N]; it goes on below half of "
-            "it. It has to be more than what noise, the share of the load and inertia make of it"
+            "force at a grasp, by the servos, at which the object is held [N], and from half of it on where it would "
+            "come to it within 25 ms at its pace; it goes on below half of it. It has to be more than what noise, the "
+            "share of the load and inertia make of it"
         ),
     ] = 300.0
     servo_delay: Annotated[

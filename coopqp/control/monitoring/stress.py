@@ -20,7 +20,17 @@ import pinocchio as pin
 from coopqp.model.cell import RobotCell
 from coopqp.model.chain import Chain
 from coopqp.model.grasp import Grasp
-from coopqp.native.constants import AT_REST, SERVOS_SETTLED, STRAIGHT_BACK, STRUCTURE, TURN_LENGTH, UNBALANCED
+from coopqp.native.constants import (
+    AT_REST,
+    LET_GO,
+    PACE_TIME,
+    SERVOS_SETTLED,
+    SOON,
+    STRAIGHT_BACK,
+    STRUCTURE,
+    TURN_LENGTH,
+    UNBALANCED,
+)
 from coopqp.spatial import Array
 
 #: Weights of translation and rotation where directions of motion are compared [1, m/rad].
@@ -52,6 +62,7 @@ class StressWatch:
     def reset(self) -> None:
         """Forget."""
         self.forces, self.behind, self.gap, self.pull = np.zeros(len(self._cell)), -1, 0.0, 0.0
+        self._slow = np.zeros(len(self._cell))
         self._deflection, self._way = np.zeros(self._cell.nv), np.zeros(self._cell.nv)
         self._last: Array | None = None
         self._rest = 0.0
@@ -63,6 +74,11 @@ class StressWatch:
     def restore(self, memory: tuple[Any, ...]) -> None:
         """Go on from a copy of what :meth:`memory` returned."""
         self._deflection, self._way, self._last, self._rest = memory
+
+    def soon(self, arm: int, limit: float) -> float:
+        """What the force of an arm comes to soon at its pace, from half of a limit on [N]."""
+        force = float(self.forces[arm])
+        return force if not force >= LET_GO * limit else force + SOON / PACE_TIME * max(force - self._slow[arm], 0.0)
 
     def read(self, measured: Array, commanded: Array, dt: float) -> None:
         """Take one sample: configurations at the same time (nq,), ``dt`` seconds after the last ones."""
@@ -76,6 +92,7 @@ class StressWatch:
         C, bent = chain.compliances(self._softness), chain.twists(self._deflection)
         wrenches = servo_wrenches(C, bent)
         self.forces = np.linalg.norm(wrenches[:, :3], axis=1)
+        self._slow = self._slow + dt / (PACE_TIME + dt) * (self.forces - self._slow)
         self.behind = -1
         if np.abs(velocity).max() > AT_REST:
             self._way, self._rest = velocity, 0.0

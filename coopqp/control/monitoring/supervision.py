@@ -18,6 +18,7 @@ import numpy.typing as npt
 from coopqp.checks import NOT_NUMBERS, as_floats, as_scalar
 from coopqp.constraints.cause import Cause
 from coopqp.control.monitoring.drift import Drift
+from coopqp.control.monitoring.lag import OFF_LAG, LagWatch, excess_cap, kept_samples, least_told
 from coopqp.control.monitoring.noise import noise_seen
 from coopqp.control.monitoring.options import SupervisionOptions
 from coopqp.control.monitoring.servos import ServoWatch
@@ -71,7 +72,7 @@ class _State:
         stalled, widest: arms that have stalled (N,), and how far they were from their commands at most [rad or m].
         past: positions of the moving joints, measured and commanded, of the last samples.
         silence: time since an arm was last seen to follow its command [s].
-        drift: of the arms from each other.
+        drift, lag: of the arms from each other, and the common one; quiet: what noise makes of that one [m].
         commanded: positions in the last sample (nv,); None before the first.
         numbers, repeated: measured numbers of the last sample, and how often each arm's were repeated (N,).
         far: samples in a row in which an arm was as far from the others as a fault needs.
@@ -88,7 +89,9 @@ class _State:
     repeated: npt.NDArray[np.intp]
     past: deque[tuple[Array, Array]]
     drift: Drift
+    lag: LagWatch
     velocity: Array
+    quiet: float = 0.0
     samples: float = 0.0
     cap: float = 1.0
     arm: int = -1
@@ -100,14 +103,15 @@ class _State:
 
 
 class Supervision:
-    """The watch of one controller.
+    """The watch of one controller, with steps of about ``dt`` [s].
 
     Attributes:
         servos: compares with the wrenches where forces are monitored; None where they are not.
     """
 
-    def __init__(self, cell: RobotCell, grasp: Grasp, options: SupervisionOptions) -> None:
+    def __init__(self, cell: RobotCell, grasp: Grasp, options: SupervisionOptions, *, dt: float = math.inf) -> None:
         self._cell, self._options = cell, options
+        self._grasp, self._kept = grasp, kept_samples(options, dt)
         self._stress = _stress_watch(cell, grasp, options)
         self._continuous = np.flatnonzero(cell.continuous)
         n = len(cell)
@@ -133,8 +137,9 @@ class Supervision:
             stalled=np.zeros(n, dtype=bool),
             widest=np.zeros(n),
             repeated=np.zeros(n, dtype=np.intp),
-            past=deque(maxlen=1 + (self._options.stall_samples or 1)),
+            past=deque(maxlen=self._kept),
             drift=Drift(n, self._options.let_in),
+            lag=LagWatch(self._grasp, self._at_grasps.item(5, 5)),
             velocity=np.zeros(self._cell.nv),
         )
         if self._stress is not None:
@@ -200,6 +205,7 @@ class Supervision:
         dt: float,
         velocity: Array | None = None,
         rotation: Array | None = None,
+        twist: Array | None = None,
     ) -> Watch:
         """Compare one sample.
 
@@ -209,6 +215,7 @@ class Supervision:
             dt: time since the last sample [s].
             velocity, rotation: commanded velocities of the joints (nv,) and rotation of the object (3, 3); only where
                 forces are monitored.
+            twist: commanded twist of the object in its own frame (6,) [m/s, rad/s]; without it no lag is looked for.
         """
         o, s, result = self._options, self._s, Watch()
         servos = self.servos if self.servos is not None and self.servos.minds else None
@@ -226,6 +233,8 @@ class Supervision:
             self._watch_stall(x_measured, x_commanded, dt, result, rigid=servos is not None)
         if self._stress is not None:
             self._watch_stress(self._stress, measured, commanded, dt, result)
+        if twist is not None and self.servos is None and self._stress is None and o.slow_from is not None:
+            self._watch_lag(twist, dt, result)
         if o.recovery_time > 0.0:
             allowed = s.cap + dt / o.recovery_time
             if allowed < result.rate_cap:
@@ -272,6 +281,7 @@ class Supervision:
         self._count_far(away, self._from_others @ away - (apart - out_of_step), lost)
         distances = np.linalg.norm(out_of_step, axis=1)
         worst = float(distances.max()) - o.noise_margin * noise
+        s.quiet = o.noise_margin * noise / math.sqrt(len(away)) + max(worst, 0.0)
         if worst <= o.slow_from or s.samples < FEW_SAMPLES:
             return
         # Two arms are always equally far from each other: blame the arm that is farther from its command.
@@ -299,14 +309,18 @@ class Supervision:
         """
         o, s = self._options, self._s
         s.past.append((measured[self._moving], commanded[self._moving]))
-        (x0, command0), (x, command) = s.past[0], s.past[-1]
+        samples = o.stall_samples or 1
+        (x0, command0), (x, command) = s.past[max(len(s.past) - 1 - samples, 0)], s.past[-1]
         asked, moved, gap = np.maximum.reduceat(np.abs([command - command0, x - x0, command - x]), self._starts, axis=1)
         s.widest = np.where(s.stalled, np.maximum(s.widest, gap), s.widest)
         s.stalled = s.stalled & (gap >= np.maximum(CAUGHT_UP, CAUGHT_UP_SHARE * s.widest))
         moving = asked > STILL_COMMAND
-        # With less of a gap it is not stalled but late: it may be turning round.
+        # With less of a gap it is not stalled but late; so it is where it turns round a little later than told.
         stands = moving & (moved < o.stall_share * asked) & (gap >= CAUGHT_UP)
-        if len(s.past) == s.past.maxlen and stands.any():
+        if len(s.past) > samples and stands.any():
+            least = least_told([row for _, row in s.past], self._starts, samples)
+            stands &= (least > STILL_COMMAND) & (moved < o.stall_share * least)
+        if len(s.past) > samples and stands.any():
             follows = bool((moving & (moved > FOLLOWS * asked)).any())
             s.silence = 0.0 if follows else s.silence + dt
             if follows or s.silence > o.silent_time:
@@ -345,19 +359,33 @@ class Supervision:
         if found.rate_cap < result.rate_cap:
             result.lower(found)
 
+    def _watch_lag(self, twist: Array, dt: float, result: Watch) -> None:
+        """Arms that are where no lag would put them all slow the object, and hold it."""
+        s = self._s
+        if len(s.deviation) < 2:
+            return
+        velocity, settled = twist @ self._at_grasps, s.samples >= FEW_SAMPLES
+        excess, arm = s.lag.look(s.deviation.mean(axis=0), velocity, s.quiet, dt, settled=settled)
+        cap = excess_cap(excess)
+        if arm >= 0 and cap < result.rate_cap:
+            reason = OFF_LAG.format(arm=self._cell.arm_names[arm], mm=1e3 * excess)
+            result.lower(Watch(cap, hold=cap == 0.0, arm=arm, reason=reason, cause=Cause.TRACKING))
+
     def _watch_stress(self, stress: StressWatch, measured: Array, commanded: Array, dt: float, result: Watch) -> None:
-        """Arms that press too hard on the object hold it, until they press less than half as hard."""
+        """Arms that press too hard on the object, or soon will, hold it until they press less than half as hard."""
         limit, s = self._options.force_limit, self._s
         stress.read(measured, commanded, dt)
         most = int(stress.forces.argmax())
         force = float(stress.forces[most])
-        s.pressed = force >= (LET_GO * limit if s.pressed else limit)
+        soon = stress.soon(most, limit)
+        s.pressed = soon >= (LET_GO * limit if s.pressed else limit)
         if not s.pressed:
             return
         result.rate_cap, result.hold, names = 0.0, True, self._cell.arm_names
         if stress.behind < 0:
             result.arm = most
-            result.reason = f"{force:.0f} N at the grasp of arm {names[most]} by its servos (limit {limit:g} N)"
+            grows = f", soon {soon:.0f} N" if force < limit <= soon else ""
+            result.reason = f"{force:.0f} N at the grasp of arm {names[most]} by its servos{grows} (limit {limit:g} N)"
         else:
             result.arm = stress.behind
             result.reason = (

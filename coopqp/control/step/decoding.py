@@ -9,6 +9,7 @@ import numpy as np
 from coopqp.constraints.cause import Cause
 from coopqp.control.interface import NO_SOLVE, NOTHING, GivenUp, SolverReport, Status, off_path
 from coopqp.control.monitoring.commanded import PARTED
+from coopqp.control.monitoring.lag import OFF_LAG
 from coopqp.control.monitoring.options import SupervisionOptions
 from coopqp.control.monitoring.supervision import refused_dt
 from coopqp.control.step.constraint_set import Constraints
@@ -25,7 +26,10 @@ from coopqp.spatial import Array
 _KINDS = {code: LimitKind[name] for code, name in enumerate(layout.KINDS) if name != "NONE"}
 _REASONS = {name: code for code, name in enumerate(layout.REASONS)}
 #: Causes of reasons, by their codes: the arms, nothing that slows, or an input that cannot be used.
-_BY_ARMS = ("OUT_OF_STEP_BY", "WAS_OUT_OF_STEP", "STALLED", "ALL_STALLED", "FORCE", "HANGS_BEHIND", "OFF_SERVOS")
+_BY_ARMS = (
+    "OUT_OF_STEP_BY", "WAS_OUT_OF_STEP", "STALLED", "ALL_STALLED", "FORCE", "HANGS_BEHIND", "OFF_SERVOS", "OFF_LAG",
+    "FORCE_GROWS",
+)  # fmt: skip
 CAUSES = {code: Cause.TRACKING if name in _BY_ARMS else Cause.INPUT for name, code in _REASONS.items()} | {
     _REASONS["CHAIN_APART"]: None,
     _REASONS["TOUCHING"]: Cause.CONTACT,
@@ -160,7 +164,9 @@ _SENTENCES = {
     "WAS_OUT_OF_STEP": "arm {arm} was out of step",
     "STALLED": "arm {arm} does not follow its command (stalled)",
     "FORCE": "{a:.0f} N at the grasp of arm {arm} by its servos (limit {limit:g} N)",
+    "FORCE_GROWS": "{a:.0f} N at the grasp of arm {arm} by its servos, soon {b:.0f} N (limit {limit:g} N)",
     "OFF_SERVOS": "arm {arm} is {mm:.2f} mm from where its wrench puts its servos",
+    "OFF_LAG": OFF_LAG,
     "HANGS_BEHIND": (
         "arm {arm} does not follow its command: it hangs {mm:.2g} mm behind, and the others pull it with {b:.0f} N"
     ),

@@ -74,7 +74,7 @@ class PlainLoop:
         self.solver = StepSolver(self._chain, self._box, options)
         self._step = LinearisedStep(self._chain, self._box, self._shares, self.solver, options)
         self._posture = Posture(cell, options.posture)
-        self._supervision = Supervision(cell, grasp, options.supervision)
+        self._supervision = Supervision(cell, grasp, options.supervision, dt=dt)
         self._chain_watch = ChainWatch(grasp, options.supervision.apart_from)
         self._rate_cap = RateCap(cell, self._box, options, dt=dt)
         self._restricted = tuple(cell.arm_names[k] for k in self._chain.deficient)
@@ -278,7 +278,8 @@ class PlainLoop:
             away = self._chain.errors(self._chain.carried(measured), seen.pose) - seen.errors
             drift = np.zeros(6) if s.drift is None else s.drift
             s.drift = drift + seen.h / (seen.h + self.options.measurement_time) * (self._mean(away) - drift)
-            watch.lower(self._supervision.watch(measured, s.q, away, seen.h, s.v, seen.pose.rotation))
+            twist = self._twist(seen.carried[0])
+            watch.lower(self._supervision.watch(measured, s.q, away, seen.h, s.v, seen.pose.rotation, twist))
         servos = self._supervision.servos
         corrects = 1.0 if servos is None else servos.corrects  # arms whose forces are monitored relax first
         if watch.hold or (s.drift is None and corrects == 1.0):
@@ -286,6 +287,13 @@ class PlainLoop:
         measured_error = self._mean(seen.errors) + (0.0 if s.drift is None else s.drift)
         error: Array = corrects * watch.rate_cap * measured_error
         return error
+
+    def _twist(self, now: pin.SE3) -> Array:
+        """The twist of the object in the last step as commanded, in its own frame (6,) [m/s, rad/s]."""
+        s = self.state
+        before = self._chain.carried(self.cell.moved(s.q, -s.last_dt * s.v))[0]
+        twist: Array = np.asarray(pin.log6(before.actInv(now)).vector) / s.last_dt
+        return twist
 
     # -- propose ---------------------------------------------------------------------------------------------------
 

@@ -1,0 +1,59 @@
+"""A deviation that all arms share: what a lag makes of it is none, what a stopped arm in rigid grips makes of it is."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from coopqp import Cause, ControlStep, QPController, Status, SupervisionOptions
+from coopqp.native import available_kernels
+from coopqp.scenarios import paper_lift
+from coopqp.spatial import Array
+
+FOUND = "seems to have stopped in its grip"
+
+
+def run(kernel: str, *, late: float, follows: float, at: float, until: float, told: bool = False) -> list[ControlStep]:
+    """All arms are where their commands were ``late`` seconds ago, and go on at a share of their speed from ``at``."""
+    task = paper_lift(time_law="quintic", duration=2.0)
+    supervision = SupervisionOptions(stiffness=1e6 if told else None, force_limit=1e9)
+    made = QPController(
+        task.cell, task.grasp, task.path, dt=task.dt, options={"kernel": kernel, "supervision": supervision}
+    )
+    made.reset(task.q_start)
+    past: list[Array] = [task.q_start]
+    steps: list[ControlStep] = []
+    age, now = late / task.dt, 0.0
+    while now < until:
+        age += (1.0 - follows) if now > at else 0.0
+        place = max(len(past) - 1 - age, 0.0)
+        i = int(place)
+        measured = past[i] + (place - i) * (past[min(i + 1, len(past) - 1)] - past[i])
+        steps.append(made.step(measured))
+        past.append(steps[-1].q_next)
+        now += task.dt
+    return steps
+
+
+@pytest.mark.parametrize("kernel", available_kernels())
+def test_a_lag_is_no_stop_but_a_growing_one_is(kernel: str) -> None:
+    steps = run(kernel, late=0.02, follows=0.6, at=0.8, until=0.9)
+    dt = steps[0].dt
+    found = [i for i, step in enumerate(steps) if FOUND in step.reason]
+    assert found
+    assert 0.8 <= found[0] * dt <= 0.9
+    held = next(step for step in steps[found[0] :] if step.status is Status.HOLDING)
+    assert held.cause is Cause.TRACKING
+    assert not any(FOUND in step.reason for step in run(kernel, late=0.02, follows=1.0, at=9.0, until=1.0))
+
+
+def test_both_kernels_agree() -> None:
+    runs = [run(kernel, late=0.01, follows=0.5, at=0.7, until=0.85) for kernel in available_kernels()]
+    for one, other in zip(runs[0], runs[-1], strict=True):
+        np.testing.assert_allclose(one.q_next, other.q_next, rtol=0.0, atol=1e-9)
+        assert (one.status, one.reason) == (other.status, other.reason)
+
+
+def test_told_servos_are_asked_instead() -> None:
+    steps = run(available_kernels()[0], late=0.02, follows=0.6, at=0.8, until=0.9, told=True)
+    assert not any(FOUND in step.reason for step in steps)
