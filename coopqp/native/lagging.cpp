@@ -72,6 +72,7 @@ static void watch_lag(Core *c, double dt, Seen *seen) {
         if (rests) memcpy(c->lag_base, mean, sizeof mean), w->lag_begun = dt, w->lag_high = LONGEST_LAG;
         return;
     }
+    if (rests && sqrt(square6(mean)) <= LAG_FLOOR) memcpy(c->lag_base, mean, sizeof mean); /* as commanded */
     for (int i = 0; i < 6; i++) {
         off[i] = mean[i] - c->lag_base[i];
         if (moves) c->lag_way[i] = velocity[i] / speed;

@@ -97,7 +97,7 @@ static void give_way(int arms, const MindingArrays *f, double dt, double rate) {
     m->relax_ease = minimum(m->relax_ease + dt / m->ramp_time, 1.0);
     for (int i = 0; i < n; i++) moved[i] = shift[i] + dt * m->relax_ease / fastest * way[i];
     const double far = maximum(largest_norm(arms, moved, 0) / m->most_reach, largest_norm(arms, moved, 1) / m->most_turn);
-    m->saturated = far >= 1.0;
+    m->saturated = far >= 1.0 - 1e-9; /* also where it rests at the end of its reach, to rounding */
     for (int i = 0; i < n; i++) shift[i] = far > 1.0 ? moved[i] / far : moved[i];
 }
 

@@ -220,7 +220,7 @@ def _give_way(m: Any, x: dict[str, Array], dt: float, rate: float) -> None:
     ease = m.relax_ease = min(o.relax_ease + dt / o.ramp_time, 1.0)
     moved = x["shift"] + (dt * ease / fastest) * way
     far = _largest(moved, o.most_reach, o.most_turn)
-    m.saturated = far >= 1.0
+    m.saturated = far >= 1.0 - 1e-9  # also where it rests at the end of its reach, to rounding
     x["shift"][:] = moved / far if far > 1.0 else moved
 
 

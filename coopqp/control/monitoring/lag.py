@@ -116,6 +116,8 @@ class LagWatch:
         if self._base is None:  # what moves shows no deviation at rest
             self._base, self._since = (deviation.copy(), dt) if rests else (None, 0.0)
             return 0.0, -1
+        if rests and math.sqrt(deviation @ deviation) <= LAG_FLOOR:  # the arms are where their commands are
+            self._base = deviation.copy()
         base, off = self._base, deviation - self._base
         if moves:
             self._way = velocity / speed
