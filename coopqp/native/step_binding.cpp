@@ -118,7 +118,7 @@ static void build(BoundCore *self, const In &arm_start, const In &arm_size, cons
     const char *unfit = "the sizes do not fit together";
     check_fit(arms >= 1 && arm_size.size == arms && joints >= 6 && joints <= most && continuous.size == joints &&
                   nq >= joints && nq <= 2 * joints && unknowns >= TWIST_AND_SHARES && unknowns <= TWIST_AND_SHARES + joints &&
-                  past >= 1 && past <= most && given_rows >= 0 && given_rows <= most, unfit);
+                  past >= 1 && past <= 100 * most && given_rows >= 0 && given_rows <= most, unfit);
     new (self) BoundCore();
     self->arms = (int)arms, self->joints = (int)joints, self->nq = nq, self->unknowns = unknowns, self->past = past;
     self->rows = given_rows + 1 + self->arms + self->joints; /* those that brake all arms together come last */

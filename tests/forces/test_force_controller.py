@@ -408,9 +408,10 @@ def test_core_and_definition_agree_about_steps_with_wrenches(case: str) -> None:
         pytest.skip("one kernel")
     steps = 340 if case == "palms" else 230
     (made, start), (plain, _) = scripted(case), scripted(case, "plain")
+    same = 5e-8 if case == "noise" else 1e-8  # noise carries roundings into the rate
     for a, b in zip(fed(made, case, steps, start=start), fed(plain, case, steps, start=start), strict=True):
-        np.testing.assert_allclose(np.frombuffer(a[0]), np.frombuffer(b[0]), rtol=0, atol=1e-8)
-        assert a[1] == pytest.approx(b[1], abs=1e-8)
+        np.testing.assert_allclose(np.frombuffer(a[0]), np.frombuffer(b[0]), rtol=0, atol=same)
+        assert a[1] == pytest.approx(b[1], abs=same)
         assert a[2] is b[2]
         assert a[3].partition(" at the ")[0] == b[3].partition(" at the ")[0], "of palms that press alike any is named"
 

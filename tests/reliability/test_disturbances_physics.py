@@ -143,17 +143,20 @@ def test_a_base_that_is_off(lift: Scenario, catalogue: Any) -> None:
 
 @pytest.mark.slow
 def test_a_stalled_arm_that_is_dragged_along(lift: Scenario, catalogue: Any, count: Any) -> None:
-    """The other arms drag the stalled arm along: distances and joints do not show it, servo deflection does."""
+    """The other arms drag the stalled arm along: distances and joints do not show it.
+
+    Without a stiffness the lag of all arms does, within 100 ms; with it servo deflection does.
+    """
     blind = drive(lift, Disturbances(stall={"slave_1": 1.2}), longest=2.2)
-    assert not any(s.status in (Status.HOLDING, Status.FAULT) for s in blind.steps[:1900])
-    assert blind.force.max() > 10_000.0
+    assert blind.time[next(i for i, s in enumerate(blind.steps) if s.status is Status.HOLDING)] <= 1.3
     late, force, rest, named, runs = 0, 0.0, 0.0, 0, []
     times = [1.5, *np.linspace(0.5, 2.3, count(1))]  # the first is at the highest speed
     for arm in lift.cell.arm_names:
         for when in times:
             run = drive(lift, Disturbances(stall={arm: float(when)}), watched=True, longest=float(when) + 0.6)
             held = next(i for i, s in enumerate(run.steps) if s.status is Status.HOLDING)
-            crossed = int(np.argmax(run.reading > LIMIT))
+            above = np.flatnonzero(run.reading > LIMIT)  # none where it was foreseen
+            crossed = int(above[0]) if above.size else held
             late = max(late, held - crossed)
             after = run.time > run.time[held]
             force, rest = max(force, run.force[after].max()), max(rest, run.force[-1])

@@ -47,7 +47,7 @@ _MOST_LATE = 200
 
 def kept_samples(options: SupervisionOptions, dt: float) -> int:
     """Number of samples in which a stall is looked for, of length ``dt`` [s]: those of a lag beside stall_samples."""
-    return 1 + (options.stall_samples or 1) + min(math.ceil(LAG / dt - 1e-9), _MOST_LATE)
+    return 1 + (options.stall_samples or 1) + math.ceil(min(LAG / dt, _MOST_LATE) - 1e-9)
 
 
 def least_told(commanded: Sequence[Array], starts: Sequence[int], samples: int) -> Array:

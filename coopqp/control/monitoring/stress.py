@@ -69,11 +69,11 @@ class StressWatch:
 
     def memory(self) -> tuple[Any, ...]:
         """The state of a copy; the rest is found anew from every sample."""
-        return self._deflection, self._way, self._last, self._rest
+        return self._deflection, self._way, self._last, self._rest, self._slow
 
     def restore(self, memory: tuple[Any, ...]) -> None:
         """Go on from a copy of what :meth:`memory` returned."""
-        self._deflection, self._way, self._last, self._rest = memory
+        self._deflection, self._way, self._last, self._rest, self._slow = memory
 
     def soon(self, arm: int, limit: float) -> float:
         """What the force of an arm comes to soon at its pace, from half of a limit on [N]."""

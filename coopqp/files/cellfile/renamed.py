@@ -25,7 +25,11 @@ def renewed(tables: Any, source: str) -> Any:
     Warns:
         RenamedKeyWarning: old names were found; one warning lists them all.
     """
-    tables, found = copy.deepcopy(tables), dict[str, str]()
+    found: dict[str, str] = {}
+    try:
+        tables = copy.deepcopy(tables)
+    except RecursionError:  # the schema refuses what is nested so deeply
+        return tables
     for key, new in KEYS.items():
         *parents, old = key.split(".")
         for table in _tables(tables, parents):
