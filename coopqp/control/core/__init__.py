@@ -23,10 +23,6 @@ Relax = Callable[[Array, int, Array | None, float], int]
 Allow = Callable[[Array, int, float], None]
 
 
-class NotForTheCore(Exception):  # noqa: N818
-    """The cell has something that the core does not know; the plain loop runs it. No user sees it."""
-
-
 def make_loop(
     cell: RobotCell, grasp: Grasp, *, dt: float, options: QPOptions, constraints: Constraints
 ) -> CompiledLoop | PlainLoop:
@@ -46,6 +42,7 @@ def make_loop(
         raise UnknownNameError("kernel", options.kernel, kernels)
     if "compiled" in kernels and options.kernel != "plain":
         from coopqp.control.core.compiled import CompiledLoop
+        from coopqp.control.core.memory import NotForTheCore
 
         try:
             return CompiledLoop(cell, grasp, dt=dt, options=options, constraints=constraints)
@@ -65,4 +62,4 @@ def minding_of(kernel: str) -> tuple[Relax, Allow]:
     return _core.relax, _core.allow
 
 
-__all__ = ["NotForTheCore", "make_loop", "minding_of"]
+__all__ = ["make_loop", "minding_of"]

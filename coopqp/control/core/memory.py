@@ -9,7 +9,6 @@ import numpy as np
 
 import coopqp.native._core as native
 from coopqp.constraints.velocity import MOST_ROWS
-from coopqp.control.core import NotForTheCore
 from coopqp.control.lookahead.options import PlanLimits, PreviewOptions
 from coopqp.control.monitoring.lag import grasp_levers, kept_samples
 from coopqp.control.monitoring.supervision import grasp_lengths
@@ -22,6 +21,10 @@ from coopqp.model.links import joint_links
 from coopqp.native import layout
 from coopqp.native.constants import LARGEST_MOVE, MOST_JOINTS, MOST_KNOTS
 from coopqp.spatial import Array
+
+
+class NotForTheCore(Exception):  # noqa: N818
+    """The cell has something that the core does not know; the plain loop runs it. No user sees it."""
 
 
 @final
