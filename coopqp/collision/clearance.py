@@ -402,8 +402,7 @@ class Clearance:
     @staticmethod
     def _back(knot: Knot, back: float) -> Array:
         """The joints' way from the knot back to an earlier clock: q″ is constant between knots (nv,)."""
-        way: Array = (0.5 * back * knot.curvature - knot.slope) * back
-        return way
+        return (0.5 * back * knot.curvature - knot.slope) * back
 
     # -- bodies that move --------------------------------------------------------------------------------------------
 

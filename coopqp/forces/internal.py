@@ -28,8 +28,7 @@ def internal_wrenches(wrenches: ArrayLike, grasp: Grasp) -> Array:
         raise InvalidInputError(f"wrenches of shape {w.shape}", "internal_wrenches", f"Give one per arm, (…, {n}, 6).")
     to_object, shares = load_shares(grasp)
     internal_of = (np.eye(6 * n) - shares @ np.tile(np.eye(6), n)) @ to_object
-    out: Array = (w.reshape(-1, 6 * n) @ internal_of.T).reshape(w.shape)
-    return out
+    return (w.reshape(-1, 6 * n) @ internal_of.T).reshape(w.shape)
 
 
 def load_shares(grasp: Grasp) -> tuple[Array, Array]:

@@ -136,8 +136,7 @@ class StressModel:
 
     def _twist_map(self, state: CellState, k: int, R: pin.SE3) -> Array:
         """A_k (6, n_k): maps the joint velocities of arm k to the object twist in the frame R."""
-        A: Array = R.actInv(state.T_world_tool[k]).action @ state.jacobian(k)
-        return A
+        return R.actInv(state.T_world_tool[k]).action @ state.jacobian(k)
 
 
 def at_tools(wrenches: ArrayLike, grasp: Grasp) -> Array:

@@ -176,8 +176,7 @@ class GuardedPath:
             try:
                 next(search)
             except StopIteration as done:
-                kink: float | None = done.value
-                return kink
+                return done.value
 
     def kinks(self, before: float, after: float) -> Generator[None, None, float | None]:
         """As :meth:`kink`; it pauses before every further twist that it asks for."""

@@ -93,8 +93,7 @@ class SpeedProfile:
     @cached_property
     def slopes(self) -> Array:
         """s̈ between knots (K − 1,) [m/s²]."""
-        out: Array = 0.5 * np.diff(self.squares) / np.diff(self.s)
-        return out
+        return 0.5 * np.diff(self.squares) / np.diff(self.s)
 
 
 @final
@@ -180,8 +179,7 @@ class TimedPath(ObjectPath):
         if speed == 0.0:
             return np.zeros(6)
         R, V = self._geometry.pose(s).rotation, self._geometry.twist(s)
-        out: Array = (V.reshape(2, 3) @ R).ravel() * speed
-        return out
+        return (V.reshape(2, 3) @ R).ravel() * speed
 
     def record(self) -> dict[str, Any]:
         """The path as plain lists of numbers, from which :meth:`of_record` makes it again, bit for bit."""

@@ -224,8 +224,7 @@ def new_controller(scenario: Scenario, kind: str, options: Any, scene: Collision
     """A new controller of :data:`CONTROLLERS` that keeps the margins of ``scene``, if there is one."""
     s = scenario
     more = {} if scene is None else {"constraints": [Clearance(scene)]}
-    made: Controller = CONTROLLERS[kind][0](s.cell, s.grasp, s.path, dt=s.dt, options=options, **more)
-    return made
+    return CONTROLLERS[kind][0](s.cell, s.grasp, s.path, dt=s.dt, options=options, **more)
 
 
 def read(file: Path) -> CellFile:

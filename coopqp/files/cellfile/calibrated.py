@@ -83,5 +83,4 @@ def calibrated_text(
 
 
 def _matrix(T: pin.SE3) -> list[list[float]]:
-    rows: list[list[float]] = T.homogeneous.tolist()
-    return rows
+    return T.homogeneous.tolist()

@@ -260,8 +260,7 @@ def _first_in(parts: Iterable[slice], bad: Callable[[slice], Any]) -> int | None
 def _within_limits(cell: RobotCell, recording: Recording, part: slice) -> Array:
     """Distance of the commanded joints from the nearer position limit (T, nv) [rad or m]; inf without limit."""
     q = cell.positions(recording.q_command[part])
-    distance: Array = np.minimum(q - cell.limits.lower, cell.limits.upper - q)
-    return distance
+    return np.minimum(q - cell.limits.lower, cell.limits.upper - q)
 
 
 def _rates(cell: RobotCell, recording: Recording) -> Finding:
@@ -291,8 +290,7 @@ def _rates(cell: RobotCell, recording: Recording) -> Finding:
 
 def _speed(cell: RobotCell, recording: Recording, part: slice) -> Array:
     """Joint speeds of steps as shares of their limits (T, nv)."""
-    share: Array = np.abs(recording.velocity[part]) / cell.limits.velocity
-    return share
+    return np.abs(recording.velocity[part]) / cell.limits.velocity
 
 
 def _acceleration(cell: RobotCell, recording: Recording, part: slice) -> Array:
@@ -300,8 +298,7 @@ def _acceleration(cell: RobotCell, recording: Recording, part: slice) -> Array:
     v = recording.velocity[part]
     before = np.vstack([recording.velocity[part.start - 1] if part.start else np.zeros(cell.nv), v[:-1]])
     dt = np.diff(recording.time[part.start : part.stop + 1])[:, None]
-    share: Array = np.abs(v - before) / dt / cell.limits.acceleration
-    return share
+    return np.abs(v - before) / dt / cell.limits.acceleration
 
 
 def _held(

@@ -40,8 +40,7 @@ def sound_steps(r: Recording, part: slice) -> Flags:
     samples = slice(part.start, part.stop + 1)
     sound = np.isfinite(r.q_command[samples]).all(axis=1) & np.isfinite(r.clock[samples])
     sound &= np.isfinite(r.time[samples])
-    steps: Flags = sound[:-1] & sound[1:] & np.isfinite(r.velocity[part]).all(axis=1) & np.isfinite(r.rate[part])
-    return steps
+    return sound[:-1] & sound[1:] & np.isfinite(r.velocity[part]).all(axis=1) & np.isfinite(r.rate[part])
 
 
 def recorded_block(r: Recording, start: int, end: int, *, goes_on: bool) -> Block:

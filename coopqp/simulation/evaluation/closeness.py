@@ -239,8 +239,7 @@ class Closeness:
     def _away(self, placed: _Placed, k: int) -> Array:
         """Lower bound of the distance of a pair at each sample (T,) [m], by spheres about both bodies' origins."""
         i, j = self._ends[k]
-        out: Array = np.linalg.norm(placed.p[:, i] - placed.p[:, j], axis=1) - self._extent[i] - self._extent[j]
-        return out
+        return np.linalg.norm(placed.p[:, i] - placed.p[:, j], axis=1) - self._extent[i] - self._extent[j]
 
     def _way(self, placed: _Placed, k: int, first: int, end: int) -> float:
         """Largest motion of the two bodies of a pair against each other between two samples [m]."""

@@ -39,8 +39,7 @@ class WrenchSensors:
     def _directions(self) -> Array:
         """Random directions of length 1, for forces and torques (N, 6)."""
         parts = self._rng.normal(size=(self._arms, 2, 3))
-        out: Array = (parts / np.linalg.norm(parts, axis=2, keepdims=True)).reshape(-1, 6)
-        return out
+        return (parts / np.linalg.norm(parts, axis=2, keepdims=True)).reshape(-1, 6)
 
     def read(self, wrenches: Array, time: float) -> Array:
         """Measured wrenches (N, 6) [N, N·m] at a time [s], from the real ones; NaN for an arm whose wrench is lost."""
