@@ -60,29 +60,13 @@ __all__ = [
 #: The function of every scenario, by name; scenarios in :data:`LOADED` run in the physics engine. A call without
 #: arguments uses the defaults. Some need the extra ``robots``.
 SCENARIOS: dict[str, Callable[[], Scenario]] = {
-    "paper_lift": paper_lift,
-    "wide_grasp": wide_grasp,
-    "fast_lift": fast_lift,
-    "kuka_lift": kuka_lift,
-    "abb_lift": abb_lift,
-    "mixed_lift": mixed_lift,
-    "at_limit": at_limit,
-    "at_singularity": at_singularity,
-    "dual_arm7": dual_arm7,
-    "panda_bar": panda_bar,
-    "ur5_table": ur5_table,
-    "mixed_cell": mixed_cell,
-    "ring": ring,
-    "scara_pair": scara_pair,
-    "five_joint_pair": five_joint_pair,
-    "plate_and_post": plate_and_post,
-    "plate_and_table": plate_and_table,
-    "elbow_and_knob": elbow_and_knob,
-    "elbows": elbows,
-    "forearms": forearms,
-    "random_posts": random_posts,
-    **LOADED,
-}
+    make.__name__: make  # type: ignore[misc]  # the functions have other arguments, all with defaults
+    for make in (
+        paper_lift, wide_grasp, fast_lift, kuka_lift, abb_lift, mixed_lift, at_limit, at_singularity, dual_arm7,
+        panda_bar, ur5_table, mixed_cell, ring, scara_pair, five_joint_pair, plate_and_post, plate_and_table,
+        elbow_and_knob, elbows, forearms, random_posts, *LOADED.values(),
+    )
+}  # fmt: skip
 
 
 def scenario(name: str) -> Scenario:
