@@ -57,7 +57,7 @@ def run_calibrate(arguments: argparse.Namespace) -> int:
     if arguments.picture is not None:
         require_matplotlib()
     check_new(arguments.out, arguments.picture, arguments.json, force=arguments.force)
-    from coopqp.files.cellfile.calibrated import calibrated_text, settings_of
+    from coopqp.files.cellfile.write import calibrated_text, settings_of
 
     options = {} if arguments.encoder_noise is None else {"encoder_noise": arguments.encoder_noise}
     with reporter(quiet=arguments.quiet) as report:

@@ -79,7 +79,7 @@ def _run(arguments: argparse.Namespace) -> int:
     require_toppra()
     require_matplotlib()
     require_readers()
-    from coopqp.files.cellfile.planned import planned_text
+    from coopqp.files.cellfile.write import planned_text
 
     folder: Path = arguments.out
     check_unused((folder / name for name in _FILES), force=arguments.force)

@@ -31,9 +31,9 @@ from coopqp.simulation.plants.disturbed import DisturbedPlant
 from coopqp.simulation.recording.recording import Recording
 from coopqp.simulation.simulate import simulate
 from coopqp.spatial import Array
-from coopqp.studies.columns import FAILED, OK
 from coopqp.studies.drawing import disturbances
 from coopqp.studies.study import ScenarioFile, Study
+from coopqp.studies.table import FAILED, OK
 
 
 class _TooLongError(CoopqpError):

@@ -9,13 +9,13 @@ import numpy as np
 from coopqp.model.cell import RobotCell
 from coopqp.simulation.recording.recording import Recording
 from coopqp.spatial import Array
-from coopqp.visualization.curves import drawn_rows
 from coopqp.visualization.style import (
     COLOURS,
     INK,
     RED,
     add_legend,
     arm_grid,
+    drawn_rows,
     hide_rest,
     label,
     legend_columns,

@@ -10,8 +10,7 @@ import numpy as np
 from coopqp.forces.utilisation import LoadUse
 from coopqp.model.cell import RobotCell
 from coopqp.simulation.evaluation.wrenches import RunLoads
-from coopqp.visualization.curves import drawn
-from coopqp.visualization.style import COLOURS, FAINT, INK, legend_beside, new_figure, save_figure
+from coopqp.visualization.style import COLOURS, FAINT, INK, drawn, legend_beside, new_figure, save_figure
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

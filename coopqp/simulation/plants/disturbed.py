@@ -20,7 +20,7 @@ from coopqp.model.cell import RobotCell
 from coopqp.model.grasp import Grasp
 from coopqp.simulation.evaluation.metrics import chain_error
 from coopqp.simulation.plants.disturbances import Disturbances, misplaced
-from coopqp.simulation.plants.encoders import Encoders
+from coopqp.simulation.plants.sensors import Encoders
 from coopqp.spatial import Array, as_placement
 
 __all__ = ["Disturbances", "DisturbedPlant", "misplaced"]

@@ -25,14 +25,13 @@ from coopqp.model.grasp import Grasp
 from coopqp.paths.path import TimeLaw
 from coopqp.simulation.plants.disturbances import Disturbances
 from coopqp.simulation.plants.drives import TorqueDrives
-from coopqp.simulation.plants.encoders import Encoders
 from coopqp.simulation.plants.load_feed_forward import LoadFeedForward
 from coopqp.simulation.plants.mujoco_cell import MujocoCell
 from coopqp.simulation.plants.mujoco_model import build_spec, require_mujoco
 from coopqp.simulation.plants.palms import Palms, as_palms
 from coopqp.simulation.plants.physics_options import PhysicsOptions
+from coopqp.simulation.plants.sensors import Encoders, WrenchSensors
 from coopqp.simulation.plants.targets import JointTargets
-from coopqp.simulation.plants.wrench_sensors import WrenchSensors
 from coopqp.spatial import Array, Placement, as_placement
 
 if TYPE_CHECKING:
