@@ -24,7 +24,8 @@ class BuiltScene:
         geometry: all shapes with their pairs, for the cell's model.
         names: name of each shape's body.
         labels: names of each pair's bodies.
-        kinds: +1, −1 or 0 for joints that move the second body of a pair only, the first only, or both or none (P, nv).
+        kinds: sign of each joint for each pair (P, nv): +1 where it moves the second body alone, −1 where it moves the
+            first one alone, 0 where it moves both, or neither.
         reach: largest motion of a pair's distance per unit of joint motion (P, nv) [m/rad or 1].
         margins: margin of each pair (P,) [m].
         inside: pairs that may start inside their margin (P,).
