@@ -164,28 +164,15 @@ class PhysicsPlant:
         self._limited = np.zeros(cell.nv, dtype=bool)
 
     @staticmethod
-    def of(
-        scenario: Scenario,
-        *,
-        real_grasp: Grasp | None = None,
-        options: PhysicsOptions | Mapping[str, Any] | None = None,
-        disturbances: Disturbances | None = None,
-        load: LoadShare | None = None,
-        palms: Sequence[Grip] | None = None,
-    ) -> PhysicsPlant:
-        """Build the plant of a scenario from its cell, grasp and object."""
-        return PhysicsPlant(
-            scenario.cell,
-            scenario.grasp,
-            object_size=scenario.object_size,
-            object_mass=scenario.object_mass,
-            T_object_body=scenario.T_object_body,
-            real_grasp=real_grasp,
-            options=options,
-            disturbances=disturbances,
-            load=load,
-            palms=palms,
-        )
+    def of(scenario: Scenario, **more: Any) -> PhysicsPlant:
+        """Build the plant of a scenario from its cell, grasp and object.
+
+        Args:
+            scenario: whose they are.
+            more: further arguments, or others in place of the scenario's.
+        """
+        given = {name: getattr(scenario, name) for name in ("object_size", "object_mass", "T_object_body")}
+        return PhysicsPlant(scenario.cell, scenario.grasp, **{**given, **more})
 
     # -- the plant -----------------------------------------------------------------------------------------------
 
