@@ -34,10 +34,9 @@ from coopqp.control.monitoring.stress import servo_wrenches
 from coopqp.errors import InvalidInputError
 from coopqp.forces.force_options import ForceOptions
 from coopqp.forces.frictional_contacts import palm_rows, pressing
-from coopqp.forces.internal import load_shares
+from coopqp.forces.internal import load_shares, per_joint
 from coopqp.forces.presses import of_grip
 from coopqp.forces.sensor_check import SensorCheck
-from coopqp.forces.stress import per_joint
 from coopqp.model.cell import RobotCell
 from coopqp.model.chain import Chain
 from coopqp.model.grasp import Grasp

@@ -27,7 +27,7 @@ from coopqp.simulation.evaluation.closeness import with_clearance
 from coopqp.simulation.evaluation.figures import worst_status
 from coopqp.simulation.evaluation.readings import Readings, read_run
 from coopqp.simulation.plants.disturbances import Disturbances
-from coopqp.simulation.plants.disturbed import DisturbedPlant
+from coopqp.simulation.plants.kinematic import DisturbedPlant
 from coopqp.simulation.recording.recording import Recording
 from coopqp.simulation.simulate import simulate
 from coopqp.spatial import Array

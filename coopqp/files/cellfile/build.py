@@ -46,8 +46,7 @@ from coopqp.planning.starts import find_start
 from coopqp.simulation.evaluation.assessment import Tolerances
 from coopqp.simulation.evaluation.closeness import default_scene, with_clearance
 from coopqp.simulation.plants.disturbances import Disturbances
-from coopqp.simulation.plants.disturbed import DisturbedPlant
-from coopqp.simulation.plants.kinematic import KinematicPlant, Plant
+from coopqp.simulation.plants.kinematic import DisturbedPlant, KinematicPlant, Plant
 from coopqp.simulation.plants.physics import PhysicsPlant
 from coopqp.simulation.plants.physics_options import PhysicsOptions
 from coopqp.simulation.recording.recording import Recording

@@ -60,7 +60,7 @@ class PhysicsPlant:
         real_grasp: real placements of the tools on the object, if they differ from ``grasp``
             (:func:`coopqp.simulation.plants.disturbances.misplaced`).
         options: settings of the servos and the engine.
-        disturbances: as in :class:`coopqp.simulation.plants.disturbed.DisturbedPlant`; lag and stall act on the
+        disturbances: as in :class:`coopqp.simulation.plants.kinematic.DisturbedPlant`; lag and stall act on the
             targets of the servos, base offsets on the bases in the engine.
         load: load sharing whose torques the drives feed forward for the motion as commanded, with the arms' own
             dynamics, in place of the object's weight alone.
@@ -264,7 +264,7 @@ class PhysicsPlant:
         """Wrench of each arm on the object (N, 6) [N, N·m], at the origin and in the axes of the object frame.
 
         The values come from the weld constraints; they are zero for an open grip. See
-        :func:`coopqp.forces.stress.at_tools`.
+        :func:`coopqp.forces.internal.at_tools`.
         """
         if self.palms is None:
             return self._engine.weld_wrenches()
