@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 from coopqp.cli.terminal import add_command, print_written, reporter
 from coopqp.errors import UnreachableError, printable
+from coopqp.output import check_new, json_bytes, write_files
 
 if TYPE_CHECKING:
     from coopqp.forces import DeterminingMotion
@@ -45,7 +46,6 @@ def add_calibrate(commands: Any) -> None:
 def run_calibrate(arguments: argparse.Namespace) -> int:
     """Run ``coopqp calibrate``. Nothing is written unless there is a calibration."""
     from coopqp.files.cellfile import CellFileError, require_readers
-    from coopqp.output import check_new, json_bytes, write_files
     from coopqp.simulation.evaluation.calibration_runs import calibrate_runs
     from coopqp.simulation.recording.recording import Recording
     from coopqp.visualization.calibration import calibration_figure
