@@ -104,12 +104,12 @@ def arm_grid(shown: int, *, most: int = 3) -> tuple[int, int, float]:
     return columns, max(-(-shown // columns), 1), WIDTH if columns > 1 else 7.0
 
 
-def hide_rest(panels: Any, shown: int) -> None:
-    """Hide the places from ``shown`` on in a grid of panels (3 B, C), in which a place is three panels of a column."""
-    columns = panels.shape[1]
-    for block, column in (divmod(place, columns) for place in range(shown, panels.size // 3)):
-        for panel in panels[3 * block : 3 * block + 3, column]:
-            panel.set_axis_off()
+def arm_panels(grid: Any, shown: int) -> list[Any]:
+    """Three panels of a column for each arm that is shown, from a grid of panels (3 B, C). The others are hidden."""
+    places = [block[:, column] for block in np.split(grid, len(grid) // 3) for column in range(grid.shape[1])]
+    for panel in (panel for place in places[shown:] for panel in place):
+        panel.set_axis_off()
+    return places[:shown]
 
 
 def label(name: str, *, width: int = LABEL) -> str:

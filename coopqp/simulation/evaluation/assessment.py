@@ -312,7 +312,7 @@ def _held(
     bad = ~((errors[0] <= largest[0]) & (errors[1] <= largest[1]))
     if not bad.any():
         return Finding(question, True, text)
-    first = _first(bad)
+    first = int(bad.argmax())
     return Finding(question, False, text, f"{where(first)}, beyond the tolerance since {_at(recording, first)}")
 
 
@@ -321,11 +321,6 @@ def _within(a: float, of_a: str, b: float, of_b: str) -> str:
     both = f"within {one}" if not one.startswith("below") else one
     joined = not other.startswith("below") and both == one  # each has its own word
     return f"{both} and {'within ' if joined else ''}{other}"
-
-
-def _first(bad: Any) -> int:
-    """Index of the first True."""
-    return int(np.flatnonzero(bad)[0])
 
 
 def _joint(cell: RobotCell, j: int) -> str:
