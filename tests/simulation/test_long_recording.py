@@ -20,7 +20,7 @@ from coopqp import QPController, Recording, simulate
 from coopqp.scenarios import Scenario, at_limit
 from coopqp.simulation import Monitor, RecordingError, evaluate, read_run
 from coopqp.simulation.recording import recording as recordings, rows
-from coopqp.visualization import curves
+from coopqp.visualization import style
 
 ARRAYS = ("time", "q", "q_command", "velocity", "clock", "rate", "status", "reference", "T_object_tool")
 
@@ -183,7 +183,7 @@ def judged(run: Recording, scenario: Scenario) -> set[Any]:
 )
 def test_a_drawn_curve_keeps_its_extremes(values: Any, spans: int) -> None:
     time = np.arange(float(len(values)))
-    times, curve = curves.drawn(time, values, spans=spans)
+    times, curve = style.drawn(time, values, spans=spans)
     assert len(times) == len(curve) <= max(4 * spans, 2)
     np.testing.assert_array_equal(curve.max(axis=0), values.max(axis=0))
     np.testing.assert_array_equal(curve.min(axis=0), values.min(axis=0))

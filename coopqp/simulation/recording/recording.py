@@ -148,8 +148,7 @@ class Recording(Shown):
         """By how much the grasps had given way at samples (M, N, 6), for a command at each; None as :attr:`shift`."""
         if self.shift is None or not self.n_steps:
             return None
-        at: Array = self.shift[np.maximum(np.arange(samples.start, samples.stop) - 1, 0)]
-        return at
+        return self.shift[np.maximum(np.arange(samples.start, samples.stop) - 1, 0)]
 
     def _arrays(self) -> dict[str, Array]:
         """The arrays of this run, by name."""
