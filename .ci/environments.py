@@ -26,8 +26,12 @@ else:
 ROOT = Path(__file__).resolve().parents[1]
 FOLDER = ROOT / "build" / "environments"
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
-#: Extras of users.
-EXTRAS = sorted(set(PROJECT["optional-dependencies"]) - {"all", "dev", "docs", "mutation"})
+#: Extras of users that bring something.
+EXTRAS = sorted(
+    name
+    for name, packages in PROJECT["optional-dependencies"].items()
+    if packages and name not in {"all", "dev", "docs", "mutation"}
+)
 #: The oldest and the newest Python that Pinocchio has wheels for.
 OLDEST, NEWEST = "3.10", "3.13"
 #: From 3.12 on nanobind has a stable ABI: one wheel serves all later versions.

@@ -1,4 +1,4 @@
-"""Common parts of all figures: colours, type, files, and legends that fit their place. Needs the extra ``plot``."""
+"""Common parts of all figures: colours, type, files, and legends that fit their place."""
 
 from __future__ import annotations
 
