@@ -27,6 +27,7 @@ COMMANDS: dict[str, tuple[list[str], set[str]]] = {
     "examples": (["examples"], set()),
     "a cell file": (["run", "cell.toml", "--out", "cell", "--report", "--plots"], set()),
     "the check of a cell file": (["check", "cell.toml", "--out", "check"], set()),
+    "a cell of one's own": (["new", "pair", "--arm", "rx90l", "--arm", "arm7", "--out", "new"], set()),
     "a plan": (["plan", "cell.toml", "--out", "plan"], {"planning"}),
     "a sweep": (["sweep", "study.toml", "--workers", "1", "--out", "sweep", "--quiet"], {"studies"}),
     "a report": (["report", "run.npz", "--out", "report.html"], set()),

@@ -12,7 +12,7 @@ from importlib import metadata
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NoReturn
 
-from coopqp.cli import calibrate, check, examples, sensors, studies
+from coopqp.cli import calibrate, check, examples, new, sensors, studies
 from coopqp.cli.commands import COMMANDS
 from coopqp.cli.terminal import add_command, print_hints, print_table, print_written, reporter, say
 from coopqp.errors import CoopqpError, MissingExtraError, UndecidedError, UnreachableError, cause_of
@@ -184,6 +184,7 @@ _COMMANDS = (
     _add_demo,
     *COMMANDS,
     *examples.COMMANDS,
+    *new.COMMANDS,
     *check.COMMANDS,
     *calibrate.COMMANDS,
     *sensors.COMMANDS,
