@@ -8,7 +8,8 @@ from pathlib import Path
 
 import numpy as np
 
-from coopqp.files.cellfile.write import relative, toml_value
+from coopqp.errors import printable
+from coopqp.files.cellfile.write import relative, toml_key, toml_value
 from coopqp.model.arm import Arm
 from coopqp.model.cell import RobotCell, slides
 from coopqp.model.tool_guess import ToolGuess
@@ -46,7 +47,7 @@ def draft_text(
         drafted: what was found.
         into: folder of the file.
     """
-    robots = " and ".join(choice.robot or choice.file.stem for choice in choices)
+    robots = printable(" and ".join(choice.robot or choice.file.stem for choice in choices))
     lines = [
         f"# {robots} move an object together. Written by `coopqp new`; `coopqp schema` explains every key.",
         f"# After a change: coopqp check {name}.toml. To run it: coopqp run {name}.toml --plots",
@@ -66,7 +67,7 @@ def draft_text(
     lines += ["", "[grasp] # where the tools hold the object: they point down at its upper side", 'kind = "tools"']
     for choice, own in zip(choices, drafted.arms, strict=True):
         at, rpy = _list(own.tool_xyz), _list(own.tool_rpy_deg)
-        lines.append(f"tools.{choice.name} = {{ xyz_m = {at}, rpy_deg = {rpy} }}")
+        lines.append(f"tools.{toml_key(choice.name)} = {{ xyz_m = {at}, rpy_deg = {rpy} }}")
     turn = _list((0.0, 0.0, motion.turn_deg))
     lines += [
         "",
@@ -85,7 +86,7 @@ def draft_text(
     for choice, arm, placed in zip(choices, arms, drafted.placed.arms, strict=True):
         x = positions_of(arm, placed.q)
         rounded = np.where(slides(RobotCell([arm])), np.round(x, 4), np.round(np.rad2deg(x), 1)) + 0.0
-        lines.append(f"positions_deg.{choice.name} = {_list(rounded)}")
+        lines.append(f"positions_deg.{toml_key(choice.name)} = {_list(rounded)}")
     lines += [
         "",
         "[collision] # links, arms and object keep 10 mm apart; [[collision.obstacles]] adds bodies of the room",
@@ -97,7 +98,7 @@ def draft_text(
 def _model_lines(choice: Choice, into: Path) -> list[str]:
     """The lines that name the robot, its tool frame and its locked fingers."""
     guess = choice.guess
-    others = f", or: {', '.join(guess.others)}" if guess.others else ""
+    others = printable(f", or: {', '.join(guess.others)}") if guess.others else ""
     frame = f"tool_frame = {toml_value(guess.tool_frame)} # guessed{others}"
     if choice.robot:
         listed = guess.tool_frame == ROBOTS[choice.robot].tool_frame
@@ -105,7 +106,7 @@ def _model_lines(choice: Choice, into: Path) -> list[str]:
     file = choice.file.as_posix() if choice.file.is_absolute() else relative(choice.file, into)
     lines = [f"urdf = {toml_value(file)}", frame]
     if guess.locked:
-        fingers = ", ".join(f"{toml_value(joint)} = {at:g}" for joint, at in guess.locked.items())
+        fingers = ", ".join(f"{toml_key(joint)} = {at:g}" for joint, at in guess.locked.items())
         lines.append(f"locked_joints_rad = {{ {fingers} }} # fingers; sliding ones in metres")
     return lines
 

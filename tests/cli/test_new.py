@@ -67,6 +67,17 @@ def test_files_of_ones_own_are_named_relative_to_the_cell(capsys: pytest.Capture
     assert cli.main(["run", "cells/own.toml", "--quiet"]) == 0
 
 
+def test_names_of_a_strangers_file_stay_names() -> None:
+    """A name with a line break is no line of the cell file, nor one with letters that TOML's plain keys lack a key."""
+    evil = "x&#10;[output]&#10;folder = &quot;/tmp&quot;"
+    text = robot_path("arm6c").read_text(encoding="utf-8").replace("link_6", evil)
+    Path("ärm.urdf").write_text(text, encoding="utf-8")
+    assert cli.main(["new", "own", "--arm", "ärm.urdf", "--arm", "ärm.urdf", "--quiet"]) == 0
+    tables = read_tables(Path("own.toml"))
+    assert set(tables) == {"name", "arms", "grasp", "path", "object", "start", "collision"}
+    assert set(tables["grasp"]["tools"]) == {"ärm_1", "ärm_2"} == set(tables["start"]["positions_deg"])
+
+
 @pytest.mark.slow
 def test_three_arms_stand_around_a_plate() -> None:
     assert cli.main(["new", "three", *["--arm", "rx90l"] * 3, "--quiet"]) == 0
