@@ -200,7 +200,7 @@ def _add_schema(commands: Any) -> None:
         nargs="?",
         const="paper_lift",
         metavar="NAME",
-        help="print a cell file that comes with coopqp: paper_lift (default) or paper_baseline",
+        help="print a cell file that comes with coopqp (paper_lift): `coopqp examples` lists them",
     )
     parser.set_defaults(run=_run_schema)
 

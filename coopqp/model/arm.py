@@ -89,7 +89,7 @@ class Arm:
         source = description_file(path, name)
         text = check_urdf(source, name)
         try:
-            mimics = _mimic_joints(pin.buildModelFromUrdf(str(source), True))  # True: keep mimic joints
+            mimics = mimic_joints(pin.buildModelFromUrdf(str(source), True))  # True: keep mimic joints
             model = pin.buildModelFromUrdf(str(source))
         except (ValueError, RuntimeError) as error:
             raise ModelError(f"arm '{name}': {source} is not a readable URDF ({_cause(error)})") from error
@@ -191,7 +191,7 @@ class Arm:
         _check_name(name)
         _check_locked(name, locked_joints)
         base = pin.SE3.Identity() if T_world_base is None else as_placement(T_world_base, f"arm '{name}': T_world_base")
-        mimics = _mimic_joints(model)
+        mimics = mimic_joints(model)
         if mimics:
             raise ModelError(
                 f"arm '{name}': joint '{mimics[0]}' mimics another. Replace it in the model, or read its URDF with "
@@ -295,7 +295,8 @@ def _cause(error: Exception) -> str:
     return " ".join(str(error).rpartition("message:")[2].split()).rstrip(".")
 
 
-def _mimic_joints(model: pin.Model) -> list[str]:
+def mimic_joints(model: pin.Model) -> list[str]:
+    """Joints of a model, read with them, that mimic others."""
     return [n for n, joint in zip(model.names, model.joints, strict=True) if "Mimic" in joint.shortname()]
 
 

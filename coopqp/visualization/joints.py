@@ -1,4 +1,4 @@
-"""The joints of a run against their limits, one panel per arm. Needs the extra ``plot``."""
+"""The joints of a run against their limits, one panel per arm."""
 
 from __future__ import annotations
 

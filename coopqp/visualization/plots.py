@@ -1,7 +1,7 @@
 """The paper's Figures 4 and 5 of any run.
 
 Each function returns a Matplotlib figure without a window and without global state;
-:func:`coopqp.visualization.style.save_figure` writes it. The functions need the extra ``plot``.
+:func:`coopqp.visualization.style.save_figure` writes it.
 """
 
 from __future__ import annotations

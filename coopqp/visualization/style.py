@@ -1,4 +1,4 @@
-"""Common parts of all figures: colours, type, files, legends that fit, long curves. Needs the extra ``plot``."""
+"""Common parts of all figures: colours, type, files, legends that fit, long curves."""
 
 from __future__ import annotations
 

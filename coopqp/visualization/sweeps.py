@@ -1,4 +1,4 @@
-"""The figures of a sweep over its varied settings: medians, and the span of the draws. Needs the extra ``plot``."""
+"""The figures of a sweep over its varied settings: medians, and the span of the draws."""
 
 from __future__ import annotations
 

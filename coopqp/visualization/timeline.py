@@ -1,4 +1,4 @@
-"""One figure of a whole run over time: errors, rate, and binding limits. Needs the extra ``plot``."""
+"""One figure of a whole run over time: errors, rate, and binding limits."""
 
 from __future__ import annotations
 

@@ -123,6 +123,17 @@ def test_a_long_file_that_is_cut_is_refused(run: Recording, tmp_path: Path, smal
         Recording.load(tmp_path / "cut.npz")
 
 
+def test_an_array_whose_header_does_not_parse_is_refused(run: Recording, tmp_path: Path) -> None:
+    with zipfile.ZipFile(run.save(tmp_path / "run.npz")) as archive:
+        content = {name: archive.read(name) for name in archive.namelist()}
+    content["text.npy"] = content["text.npy"].replace(b"'shape': ()", b"'shape': N)")
+    with zipfile.ZipFile(tmp_path / "other.npz", "w") as archive:
+        for name, array in content.items():
+            archive.writestr(name, array)
+    with pytest.raises(RecordingError, match="is not a coopqp recording"):
+        Recording.load(tmp_path / "other.npz")
+
+
 def test_the_files_end_with_the_recording(scenario: Scenario, small: Path) -> None:
     def handles() -> int:
         return len(list(Path("/proc/self/fd").iterdir()))

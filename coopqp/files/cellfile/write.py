@@ -64,21 +64,23 @@ def toml_lines(tables: Mapping[str, Any], place: str = "") -> Iterator[str]:
         if isinstance(value, Mapping) or (isinstance(value, list) and value and isinstance(value[0], Mapping)):
             inner[key] = value
         else:
-            yield f"{_key(key)} = {_value(value)}"
+            yield f"{toml_key(key)} = {toml_value(value)}"
     for key, value in inner.items():
-        name = f"{place}.{_key(key)}" if place else _key(key)
+        name = f"{place}.{toml_key(key)}" if place else toml_key(key)
         for table in value if isinstance(value, list) else [value]:
             yield ""
             yield f"[[{name}]]" if isinstance(value, list) else f"[{name}]"
             yield from toml_lines(table, name)
 
 
-def _key(key: str) -> str:
+def toml_key(key: str) -> str:
+    """A key in TOML, in quotes where it needs them."""
     plain = key.isascii() and key.replace("_", "").replace("-", "").isalnum()
     return key if plain else json.dumps(key)
 
 
-def _value(value: Any) -> str:
+def toml_value(value: Any) -> str:
+    """A value in TOML."""
     if isinstance(value, bool):
         return str(value).lower()
     if isinstance(value, float):
@@ -86,7 +88,7 @@ def _value(value: Any) -> str:
     if isinstance(value, int):
         return str(value)
     if isinstance(value, (list, tuple)):
-        texts = [_value(item) for item in value]
+        texts = [toml_value(item) for item in value]
         if sum(map(len, texts)) < 100:
             return f"[{', '.join(texts)}]"
         return "[\n" + "".join(f"  {text},\n" for text in _rows(texts)) + "]"

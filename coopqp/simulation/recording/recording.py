@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import tokenize
 import zipfile
 import zlib
 from collections.abc import Iterator, Sequence
@@ -243,6 +244,7 @@ _UNREADABLE = (
     OSError,
     zipfile.BadZipFile,
     zlib.error,
+    tokenize.TokenError,  # NumPy, of a header that does not parse
     KeyError,
     ValueError,
     TypeError,
