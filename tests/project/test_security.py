@@ -59,9 +59,8 @@ TESTS = {
         "tests/browser/test_viewer_page.py::test_the_page_plays_offline",
     ),
     "Keep it in a network of your own, or use TLS: `tls://` with `Cluster(address, security=…)`, or with the "
-    "certificates of Dask's settings (`DASK_DISTRIBUTED__COMM__TLS__CA_FILE` and others), which the command uses, too.": (
-        "tests/studies/test_studies.py::test_tls_is_passed_on_to_dask",
-    ),
+    "certificates of Dask's settings (`DASK_DISTRIBUTED__COMM__TLS__CA_FILE` and others), which the command uses, "
+    "too.": ("tests/studies/test_studies.py::test_tls_is_passed_on_to_dask",),
     "It keeps limits and the distances between arms in its commands.": (
         "tests/reliability/test_stopping.py::test_the_controllers_own_commands_stop_inside",
         "tests/collision/test_collision.py::test_arms_evade_each_other",
