@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 from coopqp.cli.terminal import Reporter, add_command, print_table, print_written, reporter, say
 from coopqp.errors import UnknownNameError, UnreachableError, printable
+from coopqp.output import check_new, json_bytes, write_files
 
 if TYPE_CHECKING:
     from coopqp.collision.scene import CollisionScene
@@ -50,7 +51,6 @@ def _add_check(commands: Any) -> None:
 
 
 def _run_check(arguments: argparse.Namespace) -> int:
-    from coopqp.output import check_new
     from coopqp.planning.remedies import with_remedies
     from coopqp.visualization.style import require_matplotlib
 
@@ -148,7 +148,6 @@ def glance_at(name: str, report: Reporter) -> tuple[Glance, str]:
 
 
 def _write(check: PathCheck, record: Path | None, picture: Path | None) -> list[Path]:
-    from coopqp.output import json_bytes, write_files
 
     contents: dict[Path, bytes] = {}
     if record is not None:

@@ -18,6 +18,7 @@ from coopqp.checks import ArrayLike, as_vector, require
 from coopqp.errors import InvalidInputError, ModelError, UnknownNameError, has_controls, shown
 from coopqp.model.description import check_nesting, check_urdf, description_file, mesh_folders
 from coopqp.model.joint_limits import JointLimits, model_limits
+from coopqp.model.links import joint_axes
 from coopqp.spatial import Placement, as_placement
 
 
@@ -281,10 +282,7 @@ def _check_joints(name: str, model: pin.Model) -> None:
                 f"arm '{name}': joint '{joint_name}' ({joint.shortname()}) has {joint.nv} degrees of freedom; an arm "
                 "has a fixed base and one degree of freedom per joint. Remove the floating base, set T_world_base."
             )
-    data = model.createData()
-    pin.computeJointJacobians(model, data, pin.neutral(model))
-    for i in range(1, model.njoints):
-        axis = np.asarray(pin.getJointJacobian(model, data, i, pin.LOCAL)).reshape(6, -1)[:, model.joints[i].idx_v]
+    for i, axis in enumerate(joint_axes(model), start=1):
         if not abs(max(np.linalg.norm(axis[:3]), np.linalg.norm(axis[3:])) - 1.0) < 1e-6:
             raise ModelError(
                 f"arm '{name}': joint '{names[i]}' has no valid axis or origin ({axis.tolist()}). Give both as "
