@@ -67,6 +67,7 @@ def test_files_of_ones_own_are_named_relative_to_the_cell(capsys: pytest.Capture
     assert cli.main(["run", "cells/own.toml", "--quiet"]) == 0
 
 
+@pytest.mark.slow
 def test_names_of_a_strangers_file_stay_names() -> None:
     """A name with a line break is no line of the cell file, nor one with letters that TOML's plain keys lack a key."""
     evil = "x&#10;[output]&#10;folder = &quot;/tmp&quot;"
