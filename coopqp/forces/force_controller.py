@@ -7,6 +7,7 @@ from collections.abc import Mapping
 from typing import Any, final
 
 import numpy as np
+import pinocchio as pin
 
 from coopqp.baselines.pseudo_inverse import PseudoInverseController
 from coopqp.checks import ArrayLike, as_options, as_scalar, require
@@ -23,6 +24,8 @@ from coopqp.control.core.relax_plain import (
 )
 from coopqp.control.interface import ControlStep, Status, amend, short_text
 from coopqp.control.lock import alone
+from coopqp.control.operator.calls import OperatorCalls
+from coopqp.control.operator.changes import Change
 from coopqp.control.qp import QPController
 from coopqp.errors import InvalidInputError
 from coopqp.forces.admittance import Relaxation
@@ -49,7 +52,7 @@ _VARYING = ("_differences", "_compared", "_check", "_place", "_found", "_disturb
 
 
 @final
-class ForceController:
+class ForceController(OperatorCalls):
     """A cooperative controller whose arms relax the forces between them, see :mod:`coopqp.forces.admittance`.
 
     At first the object rests. The sensors are compared with the servos; the arms press a little, to learn how stiff
@@ -85,7 +88,7 @@ class ForceController:
 
     def _build(self, controller: QPController | PseudoInverseController, options: ForceOptions) -> None:
         self.controller, self.options = controller, options
-        self.cell, self.grasp, self.path, self.dt = controller.cell, controller.grasp, controller.path, controller.dt
+        self.cell, self.grasp, self.dt = controller.cell, controller.grasp, controller.dt
         self._relaxation = Relaxation(
             self.cell, self.grasp, options, dt=controller.dt, shares=controller.shares, kernel=controller.kernel
         )
@@ -132,6 +135,24 @@ class ForceController:
         return self.controller._lock
 
     @property
+    def path(self) -> ObjectPath:
+        """The controller's path."""
+        return self.controller.path
+
+    @property
+    def asked_pose(self) -> pin.SE3 | None:
+        """See :attr:`coopqp.QPController.asked_pose`."""
+        return getattr(self.controller, "asked_pose", None)
+
+    @property
+    def _commanded(self) -> QPController:
+        return self._qp
+
+    def _asked(self, name: str, value: Any, change: Change) -> None:
+        super()._asked(name, value, change)
+        self._scalars.goes_on = 1.0
+
+    @property
     def _qp(self) -> QPController:
         """The controller within, for what only that one can do."""
         controller = self.controller
@@ -171,7 +192,6 @@ class ForceController:
     def follow(self, path: ObjectPath, *, clock: float = 0.0) -> None:
         """Take another path; see :meth:`coopqp.QPController.follow`. It ends a hold, as :meth:`resume` does."""
         self._qp.follow(path, clock=clock)
-        self.path = path
         self._scalars.goes_on = 1.0
 
     def retarget(self, T_world_object: Placement) -> None:
@@ -243,6 +263,7 @@ class ForceController:
                 return self._finish()
             if step is not False:
                 made: ControlStep = step
+                self._qp.look_at(made)
                 return made
         return self._slow(q_measured, wrenches, dt)
 

@@ -194,7 +194,9 @@ class _Recorder:
             self._rows[name].append(row)
 
     def _sample(self, q_command: Array, clock: float) -> None:
-        self._append(q_command=q_command, clock=clock, reference=self._controller.path.pose(clock).homogeneous)
+        asked = getattr(self._controller, "asked_pose", None)  # by hand, elsewhere than on the path
+        pose = asked or self._controller.path.pose(clock)
+        self._append(q_command=q_command, clock=clock, reference=pose.homogeneous)
 
     def recording(self, metadata: dict[str, Any]) -> Recording:
         """The run so far.

@@ -23,6 +23,7 @@ from coopqp.control.interface import ControlStep, Status
 from coopqp.errors import InvalidInputError
 from coopqp.model.cell import RobotCell
 from coopqp.model.grasp import Grasp
+from coopqp.model.state import CellState
 from coopqp.paths.path import ObjectPath
 from coopqp.simulation.evaluation.assessment import Tolerances
 from coopqp.simulation.evaluation.blocks import Block, faults_of, recorded_block, sound_steps
@@ -43,8 +44,11 @@ POSITION, VELOCITY, ACCELERATION, SAME, MARGIN = 1e-9, 1e-9, 1e-6, 1e-9, 1e-6
 _BRAKING_SLACK = 1.1
 
 
-#: q, q_next, velocity, dt, clock, clock_next, rate, status and path of a step, the step, and the shift of the grasps.
-_Row: TypeAlias = tuple[Array, Array, Array, float, float, float, float, Status, ObjectPath, ControlStep, Array | None]
+#: q, q_next, velocity, dt, clock, clock_next, rate, status and path of a step, the step, the shift of the
+#: grasps, and the sense.
+_Row: TypeAlias = tuple[
+    Array, Array, Array, float, float, float, float, Status, ObjectPath, ControlStep, Array | None, float
+]
 _FLOAT = np.dtype(np.float64)
 
 
@@ -190,18 +194,20 @@ class Monitor:
         """The values of a step; None if shapes or types are wrong. Numbers may be NaN or infinite."""
         q, q_next, velocity, status = step.q, step.q_next, step.velocity, step.status
         dt, clock, clock_next, rate = step.dt, step.clock, step.clock_next, step.rate
+        sense = step.sense
         formed = (
             type(q) is type(q_next) is type(velocity) is np.ndarray
             and q.dtype is q_next.dtype is velocity.dtype is _FLOAT
             and q.shape == q_next.shape == self._shape_q
             and velocity.shape == self._shape_v
             and type(dt) is type(clock) is type(clock_next) is type(rate) is float
+            and sense in (-1, 0, 1)
             and isinstance(status, Status)
             and isinstance(step.reason, str)
         )
         if not formed and faults_of(step, self.cell, self._steps, self._time):
             return None
-        return q, q_next, velocity, dt, clock, clock_next, rate, status, step.path, step, shift
+        return q, q_next, velocity, dt, clock, clock_next, rate, status, step.path, step, shift, float(sense)
 
     def _refuse(self, step: ControlStep) -> None:
         """Count the faults of a step. It is checked no further, and the next one is not compared with it."""
@@ -218,7 +224,7 @@ class Monitor:
     def _check_rows(self, rows: Sequence[_Row]) -> None:
         if not rows:
             return
-        q, q_next, velocity, dt, clock, clock_next, rate, status, own, steps, shifts = zip(*rows, strict=True)
+        q, q_next, velocity, dt, clock, clock_next, rate, status, own, steps, shifts, sense = zip(*rows, strict=True)
         arrays = [np.concatenate(values).reshape(len(rows), -1) for values in (q, q_next, velocity)]
         numbers = np.array([dt, clock, clock_next, rate])
         sound = np.isfinite(numbers).all(axis=0)
@@ -235,7 +241,7 @@ class Monitor:
         paths = own if self.path is None else (self.path,) * len(rows)
         before = (self._last_path, *paths[:-1])
         self._last_path = paths[-1]
-        poses = [p.pose(c).homogeneous for p, c in zip(paths, clock_next, strict=True)] if self._kinematics else []
+        poses = self._references(paths, clock_next, steps) if self._kinematics else []
         block = Block(
             q=arrays[0],
             q_next=arrays[1],
@@ -244,6 +250,7 @@ class Monitor:
             clock=numbers[1],
             clock_next=numbers[2],
             rate=numbers[3],
+            sense=np.array(sense),
             holding=np.array([s is Status.HOLDING or s is Status.FAULT for s in status]),
             same_path=np.array([a is b for a, b in zip(before, paths, strict=True)]),
             reference=np.array(poses),
@@ -251,6 +258,15 @@ class Monitor:
             shift=None if shifts[0] is None else np.array(shifts),
         )
         self._check(block)
+
+    def _references(
+        self, paths: Sequence[ObjectPath], clocks: Sequence[float], steps: Sequence[ControlStep]
+    ) -> list[Array]:
+        """Where paths ask for the object (4, 4); by hand no path does, and it is where the first arm holds it."""
+        return [
+            (path.pose(clock) if step.sense else self.grasp.carried(CellState(self.cell, step.q_next))[0]).homogeneous
+            for path, clock, step in zip(paths, clocks, steps, strict=True)
+        ]
 
     def check_recorded(self, recording: Recording) -> Verdict:
         """Check a run; see :func:`check_run`."""
@@ -356,10 +372,12 @@ class Monitor:
         rate, advance = block.rate, block.clock_next - block.clock
         self._all(ViolationKind.RATE, np.maximum(-rate, rate - 1.0) - SAME, ends, "σ in [0, 1]")
         self._all(ViolationKind.RATE, np.where(block.dt > 0.0, -1.0, 1.0), ends, "dt > 0")
-        self._all(ViolationKind.CLOCK, -advance - SAME, ends, "runs backwards")
+        # On the way back the clock falls; by hand it stands.
+        self._all(ViolationKind.CLOCK, -block.sense * advance - SAME, ends, "runs backwards")
         # The last step may advance the clock by less than σ dt.
         ended = block.clock_next >= block.duration
-        miss = np.where(ended, advance - rate * block.dt, np.abs(advance - rate * block.dt))
+        miss = block.sense * advance - np.abs(block.sense) * rate * block.dt
+        miss = np.where(ended, miss, np.abs(np.where(block.sense == 0.0, advance, miss)))
         self._all(ViolationKind.CLOCK, miss - SAME * (1.0 + block.clock_next), ends, "does not advance by σ dt")
         before = np.concatenate([[self._last_clock], block.clock_next[:-1]])
         self._all(
