@@ -23,7 +23,7 @@ from coopqp.control.core import make_loop
 from coopqp.control.interface import ControlStep, Status, amend, short_text
 from coopqp.control.lock import alone
 from coopqp.control.operator.calls import OperatorCalls
-from coopqp.control.operator.changes import Change, Target
+from coopqp.control.operator.changes import Target
 from coopqp.control.operator.operator import Operator
 from coopqp.control.options import QPOptions
 from coopqp.control.step.constraint_set import Constraints
@@ -279,27 +279,32 @@ class QPController(OperatorCalls):
             InvalidInputError: not a number from 0 to 1; the old override stays.
         """
         share = as_scalar(share, "set_override: share", open_low=False, high=1.0)
-        self._soon(lambda: self._override(share))
 
-    def _override(self, share: float) -> None:
+        def set_it(operator: Operator) -> None:
+            operator.gear = None
+            operator.override = share
+
+        self.operate("set_override", share, set_it)
+
+    def lower_rate(self, share: float) -> None:
+        """The largest rate σ that forces allow, in the thread that steps; it is no call of an operator."""
         self._operator.override = share
+
+    @property
+    def geared(self) -> float | None:
+        """The path speed σ that a belt asks for, see :meth:`gear`; None if none does."""
+        return self._operator.geared()
 
     def pause(self) -> None:
         """Bring the object to rest on its path, until :meth:`resume`; a reset or another path changes nothing.
 
         At rest the status is PAUSED. Errors are still corrected; the arms' null-space motion stops.
         """
-        self._soon(lambda: self._pause(True))
+        self.operate("pause", None, lambda operator: operator.pause(True))
 
     def resume(self) -> None:
         """Go on after :meth:`pause`, up to the override."""
-        self._soon(lambda: self._pause(False))
-
-    def _pause(self, paused: bool) -> None:
-        self._operator.paused = paused
-        if paused:
-            self._operator.stop()
-        self._operator.rein()
+        self.operate("resume", None, lambda operator: operator.pause(False))
 
     @property
     def shares(self) -> Array:
@@ -331,21 +336,16 @@ class QPController(OperatorCalls):
                 f"the path is a {type(self.path).__name__}", "retarget", "Build the controller with a ServoPath."
             )
         wanted = as_placement(T_world_object, "retarget")
-        self._soon(lambda: self._retarget(wanted))
+        self.operate("retarget", wanted.homogeneous.tolist(), lambda operator: self._retarget(operator, wanted))
 
-    def _retarget(self, wanted: pin.SE3) -> None:
+    def _retarget(self, operator: Operator, wanted: pin.SE3) -> None:
         path = self.path
         if not isinstance(path, ServoPath):  # another path is followed since
             return
         if self._started:
-            self._ask(Target(wanted), "retarget", wanted.homogeneous.tolist())
+            operator.ask(Target(wanted))
         else:
             path.set_target(wanted, clock=0.0, rate=0.0)
-
-    def _ask(self, change: Change, call: str, value: Any) -> None:
-        self._operator.note(call, value)
-        self._operator.ask(change)
-        self._find_fast_step()
 
     @property
     def _commanded(self) -> QPController:
@@ -356,19 +356,26 @@ class QPController(OperatorCalls):
         """The object's clock on its program [s]."""
         return self._operator.clock
 
-    def change_soon(self, change: Change, call: str, value: Any) -> None:
-        """Make an operator's change as soon as it is admissible.
+    def operate(self, call: str, value: Any, act: Callable[[Operator], None], *, started: bool = False) -> None:
+        """Make an operator's call: at once, or in the next step where another thread steps.
 
         Args:
-            change: the change.
             call, value: the call's name and its value, for recordings.
+            act: what it does.
+            started: it needs a reset before.
 
         Raises:
-            InvalidInputError: before the first :meth:`reset`.
+            InvalidInputError: before the first :meth:`reset`, for a call that needs it.
         """
-        if not self._started:
-            raise InvalidInputError("nothing moves before reset", "QPController", "Call reset(q) first.")
-        self._soon(lambda: self._ask(change, call, value))
+        if started and not self._started:
+            raise InvalidInputError("nothing moves before reset", call, "Call reset(q) first.")
+
+        def done() -> None:
+            self._operator.note(call, value)
+            act(self._operator)
+            self._find_fast_step()
+
+        self._soon(done)
 
     def shift_grasp(self, shift: ArrayLike) -> None:
         """Hold the object at shifted places of the tools from the next step on: ``exp(d_k) X_k`` for ``X_k`` of grasp.
@@ -488,6 +495,8 @@ class QPController(OperatorCalls):
             self._catch_up()
             self._find_fast_step()
         operator = self._operator
+        if operator.gear is not None and not self._minded:
+            operator.override = operator.override if (share := operator.geared()) is None else share
         operator.before(self.accepted_dt(dt))
         if isinstance(self._loop, PlainLoop):
             began = time.perf_counter()

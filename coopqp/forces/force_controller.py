@@ -286,10 +286,16 @@ class ForceController(OperatorCalls):
             relaxation.shift += min(length / self.options.ramp_time, 1.0) * (self._place - relaxation.shift)
         if gives or stage == PRESSING:
             self._shifted()
+        geared = self.controller.geared if isinstance(self.controller, QPController) else None
+        if geared is not None:
+            self._scalars.asked = geared
         share = relaxation.allow(length)
         self._minded = self.controller.take_minding(self._memory, self._tell)  # another may have stepped it
         if share != self.controller.override:
-            self.controller.set_override(share)
+            if isinstance(self.controller, QPController):
+                self.controller.lower_rate(share)
+            else:
+                self.controller.set_override(share)
         return self._made(self.controller.step(q_measured, dt=dt))
 
     def _made(self, step: ControlStep) -> ControlStep:

@@ -34,7 +34,7 @@ class OperatorCalls(abc.ABC):
         """The controller that makes the changes."""
 
     def _asked(self, name: str, value: Any, change: Change) -> None:
-        self._commanded.change_soon(change, name, value)
+        self._commanded.operate(name, value, lambda operator: operator.ask(change), started=True)
 
     def reverse(self, to: float = 0.0) -> None:
         """Go back along the program to a clock [s], and rest there, PAUSED.
@@ -131,6 +131,54 @@ class OperatorCalls(abc.ABC):
             InvalidInputError: before the first reset.
         """
         self._asked("return_to_path", None, Return())
+
+    def gear(self, position: float, *, speed: float = 1.0) -> None:
+        """Let the program's clock follow a belt: call it in each period with the belt's position.
+
+        The path speed σ is the belt's filtered speed plus 20/s times the lag, from 0 to 1; the filter's time constant is
+        20 ms. When no position has come for 0.1 s the object pauses. ``set_override`` ends it.
+
+        Args:
+            position: of the belt, in seconds of the program.
+            speed: of the belt, as long as it has not been measured twice [seconds of the program per second].
+
+        Raises:
+            InvalidInputError: no finite number, a speed that is negative, or before the first reset.
+        """
+        position = float(as_vector([position], 1, "gear: position")[0])
+        speed = as_scalar(speed, "gear: speed", open_low=False)
+        self._commanded.operate("gear", [position, speed], lambda o: o.take_gear(position, speed), started=True)
+
+    def engage(self, T_world_hand: Placement) -> None:
+        """Let the object follow a hand: a tracker, a game pad, a policy. It moves as the hand moves from now on.
+
+        As with :meth:`jog`, the object first comes to rest where it follows its program, and the status is JOGGING.
+
+        Raises:
+            InvalidInputError: no placement, or before the first reset.
+        """
+        hand = as_placement(T_world_hand, "engage: T_world_hand")
+        self._commanded.operate("engage", hand.homogeneous.tolist(), lambda o: o.engage(hand), started=True)
+
+    def target(self, T_world_hand: Placement) -> None:
+        """Where the hand is now; give it 10 to 50 times a second.
+
+        It is filtered with a time constant of 40 ms. When no pose has come for 0.25 s the object pauses. Nothing
+        happens if no hand is engaged.
+
+        Raises:
+            InvalidInputError: no placement, or before the first reset.
+        """
+        hand = as_placement(T_world_hand, "target: T_world_hand")
+        self._commanded.operate("target", hand.homogeneous.tolist(), lambda o: o.hand_at(hand), started=True)
+
+    def release(self) -> None:
+        """Let the object follow no hand any more: it brakes, and rests until :meth:`return_to_path` or another call.
+
+        Raises:
+            InvalidInputError: before the first reset.
+        """
+        self._commanded.operate("release", None, lambda o: o.release(), started=True)
 
     def _on_program(self, clock: float, where: str) -> float:
         path = self._commanded.path

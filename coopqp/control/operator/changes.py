@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, final
 import numpy as np
 import pinocchio as pin
 
+from coopqp.control.operator.hands import HAND_SILENCE
 from coopqp.control.operator.way import Way
 from coopqp.paths.section import Section
 from coopqp.paths.servo import ServoPath
@@ -146,6 +147,28 @@ class Jog(Change):
         v, w = R @ self.twist[:3], R @ self.twist[3:]
         path.speed, path.spin = (float(np.linalg.norm(x)) or 1.0 for x in (v, w))
         goal = pin.SE3(pin.exp3(JOG_AHEAD * w) @ here.rotation, here.translation + JOG_AHEAD * v)
+        return operator.go_over(path, goal)
+
+
+@final
+@dataclass(frozen=True, eq=False)
+class Follow(Change):
+    """Go where the hand leads that is engaged."""
+
+    holds_for = HAND_SILENCE
+    waits = "the object comes to rest before the operator leads it"
+    by_hand = True
+
+    def attempt(self, operator: Operator) -> bool:
+        """See :class:`Change`."""
+        if not operator.lead():
+            return False
+        clutch, path = operator.clutch, operator.way.path
+        if operator.expired or clutch is None:
+            return True
+        assert isinstance(path, ServoPath)
+        operator.clutch, goal = clutch.goal(path.pose(operator.loop_clock))
+        path.speed, path.spin = TARGET_SPEED, TARGET_SPIN
         return operator.go_over(path, goal)
 
 

@@ -13,7 +13,8 @@ import pinocchio as pin
 from coopqp.constraints.cause import Cause
 from coopqp.control.interface import ControlStep, Status, amend
 from coopqp.control.lookahead.ramp_time import RampTime
-from coopqp.control.operator.changes import Change, Target, Travel
+from coopqp.control.operator.changes import Change, Follow, Target, Travel
+from coopqp.control.operator.hands import Clutch, Gear
 from coopqp.control.operator.trail import Trail
 from coopqp.control.operator.way import Way
 from coopqp.control.options import QPOptions
@@ -29,6 +30,10 @@ from coopqp.paths.servo import ServoPath
 
 #: Calls that are remembered until they are read.
 _MOST_EVENTS = 10_000
+#: Attributes that calls and steps change, beside the trail.
+_VARYING = (
+    "way", "wanted", "then", "_override", "paused", "age", "holds_for", "returns", "gear", "clutch", "_left", "_brakes",
+)  # fmt: skip
 _STOPPED = (Status.HOLDING, Status.FAULT)
 
 
@@ -50,6 +55,8 @@ class Operator:
         override, paused: as asked for along the program.
         age, holds_for: time since the last command by hand, and how long that one holds [s].
         returns: the object is on its way back to the program.
+        gear: the belt that the program's clock follows; None without one.
+        clutch: the hand that leads the object; None if none is engaged.
         trail: what redundant arms travelled; None if there are none.
     """
 
@@ -65,6 +72,8 @@ class Operator:
         self._override, self.paused = 1.0, False
         self.age, self.holds_for = math.inf, 0.0
         self.returns = False
+        self.gear: Gear | None = None
+        self.clutch: Clutch | None = None
         self._left: tuple[Way, float] | None = None
         self._brakes = False
         redundant = Chain(cell, grasp).redundancy > 0
@@ -104,7 +113,7 @@ class Operator:
     @property
     def quiet(self) -> bool:
         """Whether steps need nothing from here, or only :meth:`glance`."""
-        return self.wanted is None and self.way.sense != 0
+        return self.wanted is None and self.way.sense != 0 and self.gear is None
 
     @property
     def glances(self) -> bool:
@@ -126,6 +135,7 @@ class Operator:
     def restart(self, program: ObjectPath) -> None:
         """Follow the whole program; forget all changes."""
         self.way, self.wanted, self.then, self.returns, self._left = Way.of(program), None, None, False, None
+        self.gear = self.clutch = None
         self.age = math.inf
         self._let_go()
 
@@ -137,6 +147,8 @@ class Operator:
     def ask(self, change: Change) -> None:
         """Make a change now, or as soon as it is admissible; it takes the place of one that waits."""
         self.returns = False
+        if not isinstance(change, Follow):
+            self.clutch = None
         if change.by_hand:
             self.age, self.holds_for = 0.0, change.holds_for
         else:
@@ -174,6 +186,37 @@ class Operator:
         """Tell the loop how fast it may go."""
         paused = self.expired if self.way.sense == 0 else self.paused
         self._loop.set_reins(0.0 if self._brakes else self.override, paused=paused)
+
+    def take_gear(self, position: float, speed: float) -> None:
+        """A measured position of the belt [s of the program], and its speed where it is the first one."""
+        self.gear = Gear(position, speed) if self.gear is None else self.gear.measured(position)
+
+    def geared(self) -> float | None:
+        """The path speed σ that the belt asks for; None without one, on the way back and by hand."""
+        return None if self.gear is None or self.way.sense <= 0 else self.gear.share(self.clock)
+
+    def engage(self, hand: pin.SE3) -> None:
+        """Let the object follow a hand from its present pose on."""
+        self.clutch = Clutch(hand)
+        self.ask(Follow())
+
+    def hand_at(self, hand: pin.SE3) -> None:
+        """Another pose of the hand; nothing if none is engaged any more."""
+        if self.clutch is not None:
+            self.clutch = self.clutch.measured(hand, self.age)
+            self.ask(Follow())
+
+    def release(self) -> None:
+        """Follow no hand any more."""
+        self.clutch = None
+        self.stop()
+
+    def pause(self, paused: bool) -> None:
+        """Rest on the program, or go on along it; a command by hand ends with a pause."""
+        self.paused = paused
+        if paused:
+            self.stop()
+        self.rein()
 
     def stop(self) -> None:
         """End a command by hand, or a way back: the object brakes."""
@@ -261,6 +304,8 @@ class Operator:
     def before(self, dt: float) -> None:
         """What comes ahead of a step of a length [s], where one is not quiet."""
         way, loop = self.way, self._loop
+        if self.gear is not None:
+            self.gear = self.gear.later(dt)
         if way.sense == 0 or (self.wanted is not None and self.wanted.by_hand):
             was = self.expired
             self.age += dt
@@ -310,6 +355,8 @@ class Operator:
             binding = tuple(b for b in step.binding if b.kind is not LimitKind.OVERRIDE)
             reason = "; ".join(filter(None, (step.reason, wanted.waits)))
             amend(step, status=Status.SLOWED, cause=Cause.OPERATOR, binding=binding, reason=reason)
+        elif self.gear is not None and self.gear.silent and step.status in (Status.SLOWED, Status.PAUSED):
+            amend(step, reason="; ".join(filter(None, (step.reason, "no position comes from the belt"))))
         elif step.status is Status.JOGGING:
             why = wanted.waits if wanted is not None else self._by_hand()
             binding = tuple(b for b in step.binding if b.kind is not LimitKind.OVERRIDE)
@@ -338,8 +385,7 @@ class Operator:
     def memory(self) -> dict[str, Any]:
         """All that a copy needs; the way may be copied deeply."""
         trail = None if self.trail is None else self.trail.copy()
-        names = ("way", "wanted", "then", "_override", "paused", "age", "holds_for", "returns", "_left", "_brakes")
-        return {name: getattr(self, name) for name in names} | {"trail": trail}
+        return {name: getattr(self, name) for name in _VARYING} | {"trail": trail}
 
     def restore(self, memory: Mapping[str, Any]) -> None:
         """Go on from what :meth:`memory` returned; the loop follows the way."""
