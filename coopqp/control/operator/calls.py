@@ -135,8 +135,8 @@ class OperatorCalls(abc.ABC):
     def gear(self, position: float, *, speed: float = 1.0) -> None:
         """Let the program's clock follow a belt: call it in each period with the belt's position.
 
-        The path speed σ is the belt's filtered speed plus 20/s times the lag, from 0 to 1; the filter's time constant is
-        20 ms. When no position has come for 0.1 s the object pauses. ``set_override`` ends it.
+        The path speed σ is the belt's speed plus 20/s times the lag, from 0 to 1; the belt is filtered with a time
+        constant of 20 ms. When no position has come for 0.1 s the object pauses. ``set_override`` ends it.
 
         Args:
             position: of the belt, in seconds of the program.

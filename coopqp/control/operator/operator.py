@@ -358,7 +358,7 @@ class Operator:
         elif self.gear is not None and self.gear.silent and step.status in (Status.SLOWED, Status.PAUSED):
             amend(step, reason="; ".join(filter(None, (step.reason, "no position comes from the belt"))))
         elif step.status is Status.JOGGING:
-            why = wanted.waits if wanted is not None else self._by_hand()
+            why = "the object brakes before it goes the new way" if wanted is not None else self._by_hand()
             binding = tuple(b for b in step.binding if b.kind is not LimitKind.OVERRIDE)
             cause = self.way.cause(Status.PAUSED, None, binding)
             amend(step, cause=cause, binding=binding, reason="; ".join(filter(None, (step.reason, why))))
