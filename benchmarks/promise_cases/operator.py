@@ -177,15 +177,15 @@ def _beside(runs: int) -> Iterator[Promise]:
         rng, task = np.random.default_rng(seed), (plate_and_post, elbow_and_knob)[seed % 2]()
         scene = _scene(task)
         hand = Hand(task, constraints=[Clearance(scene)], dt=0.004)
-        twist, commands = rng.normal(size=6) * np.repeat([0.2, 0.3], 3), []
+        twist, commands = rng.normal(size=6) * np.repeat([0.2, 0.3], 3), np.empty((500, hand.cell.nq))
         for i in range(500):
             if i % 8 == 0:
                 began = time.thread_time()
                 hand.controller.jog(twist, frame="world")
                 times.append(time.thread_time() - began)
-            commands.append(hand.step().q_next)
-        closest = Closeness(scene).closest(np.array(commands), _DT * np.arange(len(commands)))
-        missing = max(missing, _MARGIN - closest.pair.distance)
+            commands[i] = hand.step().q_next
+        closest = Closeness(scene).closest(commands, _DT * np.arange(len(commands)))
+        missing = max(missing, _MARGIN - closest.pair.distance) if closest else np.nan
     yield Promise(f"{runs} jogs beside bodies: missing from the margin", 1e6 * missing, 1.0, "µm")
     yield Promise("a jog command beside bodies, p99", 1e3 * float(np.percentile(times[2:], 99)), 1.0, "ms")
 
