@@ -30,6 +30,8 @@ __all__ = ["Arm", "JointLimits", "RobotCell"]
 
 #: Most joints that a sentence names.
 _NAMED = 3
+#: Norms of (cos, sin) this close to 1 are 1 but for rounding.
+_UNIT = 4.0 * np.finfo(float).eps
 
 
 class RobotCell(Shown):
@@ -140,6 +142,8 @@ class RobotCell(Shown):
     def check_configuration(self, q: ArrayLike, where: str) -> Array:
         """Return ``q`` as a new finite array (nq,), with the (cos, sin) of continuous joints normalised.
 
+        What is normalised comes back with the same bits.
+
         Raises:
             InvalidInputError: wrong shape, NaN or infinite entries, or the norm of a (cos, sin) is off 1 by more
                 than 1e-6.
@@ -154,7 +158,8 @@ class RobotCell(Shown):
                     where,
                     "Use coopqp.RobotCell.configuration to build a configuration from angles.",
                 )
-            vector[i : i + 2] /= radius
+            if abs(radius - 1.0) > _UNIT:  # else the same bits: a command goes back in unchanged
+                vector[i : i + 2] /= radius
         return vector
 
     def configuration(self, angles: ArrayLike) -> Array:
