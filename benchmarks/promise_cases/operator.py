@@ -184,7 +184,7 @@ def _beside(runs: int) -> Iterator[Promise]:
                 hand.controller.jog(twist, frame="world")
                 times.append(time.thread_time() - began)
             commands[i] = hand.step().q_next
-        closest = Closeness(scene).closest(commands, _DT * np.arange(len(commands)))
+        closest = Closeness(scene).closest(commands, np.linspace(0.0, 2.0, len(commands)))
         missing = max(missing, _MARGIN - closest.pair.distance) if closest else np.nan
     yield Promise(f"{runs} jogs beside bodies: missing from the margin", 1e6 * missing, 1.0, "µm")
     yield Promise("a jog command beside bodies, p99", 1e3 * float(np.percentile(times[2:], 99)), 1.0, "ms")

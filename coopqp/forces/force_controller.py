@@ -26,6 +26,7 @@ from coopqp.control.interface import ControlStep, Status, amend, short_text
 from coopqp.control.lock import alone
 from coopqp.control.operator.calls import OperatorCalls
 from coopqp.control.operator.changes import Change
+from coopqp.control.operator.operator import Operator
 from coopqp.control.qp import QPController
 from coopqp.errors import InvalidInputError
 from coopqp.forces.admittance import Relaxation
@@ -201,7 +202,14 @@ class ForceController(OperatorCalls):
 
     def set_override(self, share: float) -> None:
         """The largest rate of the object; see :meth:`coopqp.QPController.set_override`."""
-        self._scalars.asked = as_scalar(share, "set_override: share", open_low=False, high=1.0)
+        share = as_scalar(share, "set_override: share", open_low=False, high=1.0)
+        if isinstance(self.controller, QPController):
+            self.controller.operate("set_override", share, lambda operator: self._override(operator, share))
+        else:
+            self._scalars.asked = share
+
+    def _override(self, operator: Operator, share: float) -> None:
+        operator.gear, self._scalars.asked = None, share
 
     def pause(self) -> None:
         """Bring the object to rest until :meth:`resume`; the arms go on to relax."""
