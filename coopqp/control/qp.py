@@ -206,6 +206,7 @@ class QPController(OperatorCalls):
             self.path.restart(path.pose(0.0))
         warned = self._start_warnings(start, GuardedPath(path).pose(clock))
         self._operator.restart(self.path)
+        self._operator.take_events()
         self._started, self._outside = True, bool(warned)
         self._loop.start(start)
         self._take(self.path)
@@ -249,7 +250,7 @@ class QPController(OperatorCalls):
         """
         GuardedPath(path).check("follow")
         clock = _on(path, clock, "follow: clock")
-        self._soon(lambda: self._follow(path, clock))
+        self.operate("follow", None, lambda operator: self._follow(path, clock))
 
     def _follow(self, path: ObjectPath, clock: float) -> None:
         rate = self._rate_into(path, clock) if self._started else None
@@ -441,6 +442,10 @@ class QPController(OperatorCalls):
     def reference(self) -> pin.SE3:
         """Where the last step has asked for the object: the path's pose at its clock, if there is one."""
         return self._loop.reference
+
+    def take_events(self) -> list[tuple[str, Any, float]]:
+        """The operator's calls since the last time: name, value as plain data, and the program's clock then [s]."""
+        return self._operator.take_events()
 
     @property
     def asked_pose(self) -> pin.SE3 | None:

@@ -140,6 +140,20 @@ class ForceController(OperatorCalls):
         """The controller's path."""
         return self.controller.path
 
+    def take_events(self) -> list[tuple[str, Any, float]]:
+        """See :meth:`coopqp.QPController.take_events`."""
+        return self.controller.take_events() if isinstance(self.controller, QPController) else []
+
+    @property
+    def paused(self) -> bool:
+        """See :attr:`coopqp.QPController.paused`."""
+        return bool(getattr(self.controller, "paused", False))
+
+    @property
+    def override(self) -> float:
+        """The largest rate that is asked for; forces may allow less."""
+        return float(self._scalars.asked)
+
     @property
     def asked_pose(self) -> pin.SE3 | None:
         """See :attr:`coopqp.QPController.asked_pose`."""
