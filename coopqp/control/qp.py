@@ -120,7 +120,7 @@ class QPController(OperatorCalls):
 
     def _find_fast_step(self) -> None:
         operator = self._operator
-        self.glance = operator.glance if operator.glances else None
+        self._glances = operator.glances
         #: The core's own step, where nothing needs Python.
         self._fast: Callable[[Any, Any], ControlStep | None] | None = None
         if (
@@ -131,7 +131,7 @@ class QPController(OperatorCalls):
             and operator.quiet
             and (not self.constraints or self._checked.certified is not None)
         ):
-            self._fast = self._loop.step if self.glance is None else self._glancing
+            self._fast = self._glancing if self._glances else self._loop.step
         if self._waiting:
             self._fast = None
 
@@ -509,8 +509,8 @@ class QPController(OperatorCalls):
         else:
             step = self._loop.careful_step(q_measured, dt)
         operator.tell(step)
-        if self.glance is not None:
-            self.glance(step)
+        if self._glances:
+            operator.passed(step)
         if self._outside:  # it started there: say so until it is mended
             off_path = step.status is Status.OFF_PATH or step.status in (Status.HOLDING, Status.FAULT)
             by_hand = off_path or step.status is Status.JOGGING
@@ -525,13 +525,16 @@ class QPController(OperatorCalls):
     def _glancing(self, q_measured: Any, dt: Any) -> ControlStep | None:
         """The core's own step, and a moment's look after it."""
         step: ControlStep | None = self._loop.step(q_measured, dt)  # type: ignore[union-attr]
-        if step is not None:
-            self.look_at(step)
+        operator = self._operator
+        if operator.looks_in > 1:
+            operator.looks_in -= 1
+        elif step is not None and operator.passed(step):
+            self._fast = None
         return step
 
     def look_at(self, step: ControlStep) -> None:
         """After each step of the core's own: note what an operator's way needs."""
-        if self.glance is not None and self.glance(step):
+        if self._glances and self._operator.passed(step):
             self._fast = None
 
     # -- copies ----------------------------------------------------------------------------------------------------

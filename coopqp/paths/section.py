@@ -13,10 +13,13 @@ from coopqp.errors import InvalidInputError
 from coopqp.native.constants import SEGMENT
 from coopqp.paths.elbows import Elbows
 from coopqp.paths.path import HoldPath, LinePath, ObjectPath, WaypointPath
+from coopqp.paths.timed import TimedPath
 from coopqp.spatial import Array
 
 #: Breakpoints that are asked for, at most.
 _MOST_BREAKPOINTS = 10_000
+#: Paths of segments, and the number of the time law of even acceleration.
+_SEGMENTS, _EVEN = (LinePath, WaypointPath, HoldPath, TimedPath), 3.0
 #: Clocks that differ by less are one [s].
 _SAME = 1e-9
 
@@ -96,10 +99,9 @@ class Section(ObjectPath):
 
     def packed(self) -> Array | None:
         """See :meth:`ObjectPath.packed`: the segments of the path that the section touches, then one of rest."""
-        if type(self.path) not in (LinePath, WaypointPath, HoldPath):
+        numbers = self.path.packed() if type(self.path) in _SEGMENTS else None
+        if numbers is None:
             return None
-        numbers = self.path.packed()
-        assert numbers is not None
         segments = numbers[3 + int(numbers[1]) :].reshape(-1, SEGMENT)
         low, high = min(self.begin, self.end), max(self.begin, self.end)
         touched = [s for s in segments if s[18] < high and s[18] + s[19] > low]
@@ -114,13 +116,15 @@ class Section(ObjectPath):
         return made
 
     def _reversed(self, segment: Array) -> Array:
-        """Both time laws are their own mirror images: the segment from its goal to its start."""
+        """The segment from its goal to its start: time laws are their own mirror images, as is even acceleration."""
         made = segment.copy()
+        made[18] = self.begin - (segment[18] + segment[19])
         R, turn, line = segment[:9].reshape(3, 3), segment[12:15], segment[15:18]
+        if segment[20] == _EVEN:
+            made[21] = 2.0 - segment[21]
         made[:9] = (R @ pin.exp3(turn)).ravel()
         made[9:12] += line
         made[12:15], made[15:18] = -turn, -line
-        made[18] = self.begin - (segment[18] + segment[19])
         return made
 
 

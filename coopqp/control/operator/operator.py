@@ -30,9 +30,12 @@ from coopqp.paths.servo import ServoPath
 
 #: Calls that are remembered until they are read.
 _MOST_EVENTS = 10_000
+#: Steps between two looks at most.
+_MOST_BETWEEN = 1000
 #: Attributes that calls and steps change, beside the trail.
 _VARYING = (
     "way", "wanted", "then", "_override", "paused", "age", "holds_for", "returns", "gear", "clutch", "_left", "_brakes",
+    "looks_in", "_looked",
 )  # fmt: skip
 _STOPPED = (Status.HOLDING, Status.FAULT)
 
@@ -76,6 +79,9 @@ class Operator:
         self.clutch: Clutch | None = None
         self._left: tuple[Way, float] | None = None
         self._brakes = False
+        #: Steps until the next look is due, and between the last one and that.
+        self.looks_in = self._looked = 1
+        self._longest_dt = dt * options.supervision.dt_range[1]
         redundant = Chain(cell, grasp).redundancy > 0
         self.trail: Trail | None = Trail(cell, dt=dt) if redundant else None
         self._events: deque[tuple[str, Any, float]] = deque(maxlen=_MOST_EVENTS)
@@ -112,7 +118,7 @@ class Operator:
 
     @property
     def quiet(self) -> bool:
-        """Whether steps need nothing from here, or only :meth:`glance`."""
+        """Whether steps need nothing from here, or only :meth:`passed`."""
         return self.wanted is None and self.way.sense != 0 and self.gear is None
 
     @property
@@ -137,6 +143,7 @@ class Operator:
         self.way, self.wanted, self.then, self.returns, self._left = Way.of(program), None, None, False, None
         self.gear = self.clutch = None
         self.age = math.inf
+        self.looks_in = self._looked = 1
         self._let_go()
 
     def begin_trail(self) -> None:
@@ -263,6 +270,7 @@ class Operator:
         loop.follow(old.path, old)
         loop.restore(memory)
         self.way = old
+        self.looks_in = self._looked = 1
         return False
 
     def _first_rate(self, way: Way, clock: float) -> float:
@@ -275,6 +283,7 @@ class Operator:
         if way.sense > 0 and self.way.sense < 0 and self.trail is not None:
             self.trail.cut(self.clock, self._loop.q)
         self.way = way
+        self.looks_in = self._looked = 1
         self._loop.follow(way.path, way)
         self._loop.start_path(clock, rate)
 
@@ -329,6 +338,7 @@ class Operator:
         way, clock = left
         then, self.then = self.then, None
         self.way = way
+        self.looks_in = self._looked = 1
         self.rein()
         self._loop.follow(way.path, way)
         self._loop.start_path(clock, 0.0)
@@ -336,12 +346,20 @@ class Operator:
             self.ask(then)
         return True
 
-    def glance(self, step: ControlStep) -> bool:
-        """A moment's look after a step: note the trail; whether the end of a section is reached."""
+    def passed(self, step: ControlStep) -> bool:
+        """Count a step, and have a look where one is due; whether the end of a section is reached."""
+        self.looks_in -= 1
+        return self.looks_in <= 0 and self._look(step)
+
+    def _look(self, step: ControlStep) -> bool:
+        """Note the trail; whether the end of a section is reached. The next look is due before it can be."""
         way, loop, trail = self.way, self._loop, self.trail
-        if trail is not None and way.sense > 0 and trail.due():
+        if trail is not None and way.sense > 0 and trail.due(self._looked):
             trail.note(self.clock, loop.q, loop.velocity, loop.rate)
-        if way.whole or way.sense == 0 or loop.clock < way.path.duration:
+        left = math.inf if way.whole or way.sense == 0 else way.path.duration - loop.clock
+        most = _MOST_BETWEEN if trail is None or way.sense <= 0 else trail.stride
+        self.looks_in = self._looked = max(1, min(most, int(min(left, 1e6) / self._longest_dt)))
+        if left > 0.0:
             return False
         if step.status is Status.TRACKING and loop.rate < 1.0 - RATE_ROUNDING:
             reason = "; ".join(filter(None, (step.reason, "the object comes to rest where it was told to")))

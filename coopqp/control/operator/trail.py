@@ -49,9 +49,9 @@ class Trail:
         self._knots = [(clock, self._cell.positions(q), None)]
         self._last_q = np.array(q)
 
-    def due(self) -> bool:
-        """Count a step; whether its end is a knot."""
-        self._left -= 1
+    def due(self, steps: int = 1) -> bool:
+        """Count steps; whether the end of the last one is a knot."""
+        self._left -= steps
         return self._left <= 0
 
     def note(self, clock: float, q: Array, velocity: Array, rate: float) -> None:
