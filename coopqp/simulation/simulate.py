@@ -14,7 +14,6 @@ from coopqp.control.interface import Controller, ControlStep, Status
 from coopqp.errors import InvalidInputError
 from coopqp.model.cell import RobotCell
 from coopqp.model.limits import BindingLimit
-from coopqp.simulation.events import Operate
 from coopqp.simulation.plants.kinematic import KinematicPlant, Plant
 from coopqp.simulation.recording.notes import Notes
 from coopqp.simulation.recording.recording import Recording, entries_of
@@ -43,7 +42,7 @@ def simulate(
     patience: float | None = PATIENCE,
     progress: ProgressCallback | None = None,
     observe: Callable[[ControlStep], None] | None = None,
-    operate: Operate | None = None,
+    operate: Callable[[Any, int], None] | None = None,
     metadata: dict[str, Any] | None = None,
 ) -> Recording:
     """Run a controller on a plant until the object reaches the end of its path.

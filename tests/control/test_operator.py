@@ -20,6 +20,7 @@ from coopqp import (
     ServoPath,
     Status,
     WaypointPath,
+    plan,
 )
 from coopqp.errors import UnknownNameError
 from coopqp.model.limits import LimitKind
@@ -438,3 +439,22 @@ def test_a_recording_of_back_and_hand_is_in_order() -> None:
     assert (np.diff(run.clock) < 0.0).any()
     verdict = check_run(run, task.cell)
     assert verdict.ok, verdict
+
+
+@pytest.mark.slow
+def test_a_plan_and_its_way_back_are_the_same_in_both_kernels() -> None:
+    if len(KERNELS) < 2:
+        pytest.skip("there is one kernel only")
+    task = limited_once(dual_arm7, 5.0)
+    path = plan(task.cell, task.grasp, task.path, q_start=task.q_start).path
+    runs = []
+    for kernel in KERNELS:
+        controller = built(task, kernel, dt=DT, path=path)
+        done = steps(controller, 100)
+        controller.reverse()
+        done += until(controller, Status.PAUSED)
+        kept(controller, done)
+        runs.append(done)
+    for a, b in zip(*runs, strict=True):
+        np.testing.assert_allclose(a.q_next, b.q_next, atol=1e-9)
+        assert a.status is b.status
