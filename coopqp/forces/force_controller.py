@@ -284,9 +284,8 @@ class ForceController(OperatorCalls):
             if step is None:
                 return self._finish()
             if step is not False:
-                made: ControlStep = step
-                self._qp.look_at(made)
-                return made
+                self._qp.look_at(step)
+                return step
         return self._slow(q_measured, wrenches, dt)
 
     @alone

@@ -135,8 +135,7 @@ class RobotCell(Shown):
     def moved(self, q: Array, displacement: Array) -> Array:
         """Configuration (nq,) after a joint displacement (nv,) [rad or m]."""
         if self.euclidean:
-            result: Array = q + displacement
-            return result
+            return q + displacement
         return np.asarray(pin.integrate(self.model, q, displacement))
 
     def check_configuration(self, q: ArrayLike, where: str) -> Array:
