@@ -202,39 +202,38 @@ def _cost() -> Iterator[Promise]:
     yield Promise("a jog command, p99", 1e3 * float(np.percentile(times[100:], 99)), 0.5, "ms")
 
 
-def _step_time(controller: QPController, steps: int = 300) -> float:
-    """The least time of a step over some rounds, in the thread's own time [µs]."""
-    times = []
-    for _ in range(steps // 20):
-        began = time.thread_time()
-        for _ in range(20):
-            controller.step()
-        times.append((time.thread_time() - began) / 20)
-    return 1e6 * float(np.median(times))
-
-
-def _step_costs() -> Iterator[Promise]:
-    task = paper_lift()
+def _underway(task: Scenario, path: ObjectPath, *, back: bool) -> QPController:
+    """A controller a few steps after its start, or on its way back from the middle of its path."""
     cell = task.cell.with_limits(acceleration=_ACCELERATION)
-    planned = _planned(task)
-    found: dict[str, float] = {}
-    for name, path, back in (
-        ("a line", task.path, False), ("a line, back", task.path, True), ("a plan", planned, False),
-        ("a plan, back", planned, True),
-    ):  # fmt: skip
-        controller = QPController(cell, task.grasp, path, dt=_DT)
-        controller.reset(task.q_start)
+    controller = QPController(cell, task.grasp, path, dt=_DT)
+    controller.reset(task.q_start)
+    if back:
         while controller.program_clock < 0.6 * path.duration:
             controller.step()
-        if back:
-            controller.reverse()
-            while controller.step().sense > 0:
-                pass
-        else:  # from its start
-            controller.reset(task.q_start)
-        for _ in range(20):
-            controller.step()
-        found[name] = _step_time(controller)
+        controller.reverse()
+        while controller.step().sense > 0:
+            pass
+    for _ in range(20):
+        controller.step()
+    return controller
+
+
+def _step_costs(rounds: int) -> Iterator[Promise]:
+    """Medians of steps in the thread's own time, the kinds of paths in turn."""
+    task = paper_lift()
+    planned, line = _planned(task), task.path
+    kinds = {"a line": (line, False), "a line, back": (line, True), "a plan": (planned, False),
+             "a plan, back": (planned, True)}  # fmt: skip
+    times: dict[str, list[float]] = {name: [] for name in kinds}
+    for _ in range(rounds):
+        for name, (path, back) in kinds.items():
+            controller = _underway(task, path, back=back)
+            for _ in range(8):
+                began = time.thread_time()
+                for _ in range(20):
+                    controller.step()
+                times[name].append(time.thread_time() - began)
+    found = {name: float(np.median(values)) for name, values in times.items()}
     for name in list(found)[1:]:
         yield Promise(f"a step along {name}, over a line's", found[name] / found["a line"], 1.3, "")
 
@@ -337,6 +336,6 @@ def promises(quick: bool) -> Iterator[Promise]:
     yield from _by_hand(3 if quick else 200)
     yield from _beside(2 if quick else 12)
     yield from _cost()
-    yield from _step_costs()
+    yield from _step_costs(3 if quick else 12)
     yield from _belt()
     yield from _stream()

@@ -12,7 +12,7 @@ from coopqp.paths.elbows import Elbows
 from coopqp.spatial import Array
 
 #: Knots that are kept at most: then every second one is dropped, and fewer are noted.
-MOST_KNOTS = 1024
+MOST_KEPT = 1024
 #: Time between two knots at first [s].
 _BETWEEN = 0.016
 #: Knots are at least so far from each other on the clock [s].
@@ -66,7 +66,7 @@ class Trail:
         if clock - self._knots[-1][0] < _NEAREST:
             clock = self._knots.pop()[0]
         self._knots.append((clock, x, slope))
-        if len(self._knots) > MOST_KNOTS:
+        if len(self._knots) > MOST_KEPT:
             self._knots = [*self._knots[:-1:2], self._knots[-1]]
             self.stride *= 2
         return None
