@@ -42,7 +42,8 @@ class ShiftedPath(ObjectPath):
             raise InvalidInputError("it ends before it begins", "ShiftedPath", "Give clocks that rise.")
         self.duration, self.known_ahead = path.duration, path.known_ahead
         self.planned_share, self.elbows = path.planned_share, path.elbows
-        self._log = pin.log6(self.shift)
+        #: The shift's logarithm (6,).
+        self._log = np.asarray(pin.log6(self.shift).vector)
 
     def _share(self, clock: float) -> tuple[float, float]:
         span = self.end - self.begin
@@ -62,7 +63,7 @@ class ShiftedPath(ObjectPath):
         twist: Array = self.path.twist(clock)
         slope = self._share(clock)[1]
         if slope:
-            twist = twist + slope * np.asarray(self.path.pose(clock).actInv(self._log).vector)
+            twist = twist + slope * np.asarray(self.path.pose(clock).actInv(pin.Motion(self._log)).vector)
         return twist
 
 

@@ -47,7 +47,7 @@ class AnyCall(RuleBasedStateMachine):
         assert not self.monitor.verdict().counts, self.monitor.verdict()
         assert step.explain()
         assert 0.0 <= step.clock_next <= self.controller.path.duration + 1e-9
-        assert (step.sense == 0) == (step.clock == step.clock_next and step.sense == 0)
+        assert step.sense != 0 or step.clock == step.clock_next
         if step.status is Status.JOGGING:
             assert step.sense == 0
             assert step.cause is not None
@@ -148,7 +148,7 @@ class AnyCall(RuleBasedStateMachine):
 
 @pytest.mark.slow
 @pytest.mark.filterwarnings("ignore::coopqp.errors.StartWarning")
-@pytest.mark.parametrize(("kernel", "machines"), [(available_kernels()[0], 60), ("plain", 4)])
+@pytest.mark.parametrize(("kernel", "machines"), [("compiled", 16), ("plain", 1)][-len(available_kernels()) :])
 def test_all_calls_in_any_order(kernel: str, machines: int) -> None:
     scale = settings().max_examples / 200  # 1 in CI, 10 every night
     machine = type("Machine", (AnyCall,), {"seen": set(), "kernel": kernel})
