@@ -147,7 +147,11 @@ def compare(
         for number in range(PAIRS):
             with contextlib.ExitStack() as stack:
                 pair: list[Contestant] = []
-                for begin in (lambda: Contestant.start("coopqp", cache, install=False), lambda: start(folder)):
+                begins: tuple[Callable[[], Contestant], ...] = (
+                    lambda: Contestant.start("coopqp", cache, install=False),
+                    lambda: start(folder),
+                )
+                for begin in begins:
                     pair.append(begin())
                     stack.callback(pair[-1].stop)
                 for case, count, pacing in rows:

@@ -15,8 +15,7 @@ import pinocchio as pin
 
 from coopqp import Clearance, CollisionScene, ControlStep, LinePath, ObjectPath, QPController, Status, plan, simulate
 from coopqp.scenarios import Scenario, dual_arm7, elbow_and_knob, mixed_cell, paper_lift, plate_and_post, ring
-from coopqp.simulation import Closeness, events_of, operating
-from coopqp.simulation.events import differs_from
+from coopqp.simulation import Closeness, differs_from, events_of, operating
 from coopqp.spatial import Array
 from promise_cases import Promise
 from promise_cases.chain_cells import Oracle

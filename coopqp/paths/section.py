@@ -10,7 +10,7 @@ import pinocchio as pin
 
 from coopqp.checks import as_scalar
 from coopqp.errors import InvalidInputError
-from coopqp.native.constants import SEGMENT
+from coopqp.native.constants import SAME_CLOCK, SEGMENT
 from coopqp.paths.elbows import Elbows
 from coopqp.paths.path import HoldPath, LinePath, ObjectPath, WaypointPath
 from coopqp.paths.timed import TimedPath
@@ -20,8 +20,6 @@ from coopqp.spatial import Array
 _MOST_BREAKPOINTS = 10_000
 #: Paths of segments, and the number of the time law of even acceleration.
 _SEGMENTS, _EVEN = (LinePath, WaypointPath, HoldPath, TimedPath), 3.0
-#: Clocks that differ by less are one [s].
-_SAME = 1e-9
 
 
 @final
@@ -76,7 +74,7 @@ class Section(ObjectPath):
 
     def next_breakpoint(self, clock: float) -> float:
         """See :meth:`ObjectPath.next_breakpoint`."""
-        i = bisect_right(self._breaks, clock + _SAME)
+        i = bisect_right(self._breaks, clock + SAME_CLOCK)
         return self._breaks[i] if i < len(self._breaks) else self.duration
 
     def pose(self, clock: float) -> pin.SE3:
@@ -90,11 +88,11 @@ class Section(ObjectPath):
         at = self.clock_of(clock)
         if self.sense > 0:
             return self.path.twist(at)
-        i = bisect_right(self._marks, at + _SAME) - 1
-        if i >= 0 and at - self._marks[i] <= _SAME:
-            at = self._marks[i] - _SAME
+        i = bisect_right(self._marks, at + SAME_CLOCK) - 1
+        if i >= 0 and at - self._marks[i] <= SAME_CLOCK:
+            at = self._marks[i] - SAME_CLOCK
         elif at >= self.path.duration:
-            at = self.path.duration - _SAME
+            at = self.path.duration - SAME_CLOCK
         return -self.path.twist(at)
 
     def packed(self) -> Array | None:
@@ -134,7 +132,7 @@ def breakpoints(path: ObjectPath, low: float, high: float) -> list[float]:
     clock = low
     while len(found) < _MOST_BREAKPOINTS:
         ahead = float(path.next_breakpoint(clock))
-        if not clock < ahead < high - _SAME:
+        if not clock < ahead < high - SAME_CLOCK:
             return found
         found.append(ahead)
         clock = ahead

@@ -16,6 +16,7 @@ from coopqp import (
     Cause,
     ControlStep,
     InvalidInputError,
+    LimitKind,
     QPController,
     ServoPath,
     Status,
@@ -23,7 +24,6 @@ from coopqp import (
     plan,
 )
 from coopqp.errors import UnknownNameError
-from coopqp.model.limits import LimitKind
 from coopqp.native import available_kernels
 from coopqp.scenarios import dual_arm7, mixed_cell, paper_lift
 from coopqp.simulation import Monitor, check_run, simulate

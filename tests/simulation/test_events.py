@@ -15,8 +15,8 @@ from coopqp import Clearance, CollisionScene, InvalidInputError, QPController, R
 from coopqp.cli.main import main
 from coopqp.files import write_csv
 from coopqp.scenarios import Scenario, dual_arm7, paper_lift, plate_and_post
-from coopqp.simulation import Event, events_of, operating
-from coopqp.simulation.events import differs_from, read_script
+from coopqp.simulation import Event, differs_from, events_of, operating
+from coopqp.simulation.events import read_script
 
 SCRIPT = """\
 # a comment, and an empty line

@@ -11,6 +11,7 @@ import pinocchio as pin
 
 from coopqp.control.operator.hands import HAND_SILENCE
 from coopqp.control.operator.way import Way
+from coopqp.native.constants import SAME_CLOCK
 from coopqp.paths.section import Section
 from coopqp.paths.servo import ServoPath
 from coopqp.paths.shifted import ShiftedPath, clock_after
@@ -19,8 +20,6 @@ from coopqp.spatial import Array
 if TYPE_CHECKING:
     from coopqp.control.operator.operator import Operator
 
-#: Clocks that differ by less are one [s].
-SAME_CLOCK = 1e-9
 #: A jog command leads so far ahead [s]; it is renewed or ends long before.
 JOG_AHEAD = 0.5
 #: Speed and spin on the way back to the path [m/s, rad/s].
