@@ -15,7 +15,7 @@ from typing import Any
 import common  # first: it limits BLAS to one thread
 import promise_cases
 from common import Record
-from promise_cases import bodies, braking, chain, clock, contacts, forces, planning, proofs, screen, sensors
+from promise_cases import bodies, braking, chain, clock, contacts, forces, operator, planning, proofs, screen, sensors
 
 KEYS = ("group", "case", "value", "bound", "unit", "holds")
 #: The groups, and where their cases come from.
@@ -24,6 +24,7 @@ GROUPS: dict[str, tuple[Callable[[bool], Iterator[promise_cases.Promise]], ...]]
     "forces": (forces.promises, contacts.promises, sensors.promises),
     "planning": (proofs.promises, planning.promises, bodies.promises),
     "clock": (clock.promises,),
+    "operator": (operator.promises,),
     "screen": (screen.promises,),
 }
 

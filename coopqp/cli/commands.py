@@ -67,6 +67,12 @@ def _add_run(commands: Any) -> None:
     ):
         parser.add_argument(f"--{product}", action="store_true", help=f"also write {text}")
     parser.add_argument("--view", action="store_true", help="then show the run in the browser")
+    parser.add_argument(
+        "--replay",
+        type=Path,
+        metavar="RECORDING",
+        help="make a recorded run's operator calls again, and compare",
+    )
 
 
 def _run_run(arguments: argparse.Namespace) -> int:
@@ -75,6 +81,8 @@ def _run_run(arguments: argparse.Namespace) -> int:
     from coopqp.simulation.evaluation.assessment import evaluate, why
     from coopqp.simulation.evaluation.figures import run_figures
     from coopqp.simulation.evaluation.readings import read_run
+    from coopqp.simulation.events import differs_from, events_of, operating
+    from coopqp.simulation.recording.recording import Recording
 
     wanted, asked, place, note = {"recording"}, None, str(arguments.cell), ""
     run: Any = functools.partial(runs.obtain_run, place)
@@ -100,6 +108,12 @@ def _run_run(arguments: argparse.Namespace) -> int:
         from coopqp.visualization.viewer import require_viser
 
         require_viser()
+    again = None
+    if arguments.replay is not None:
+        again = Recording.load(arguments.replay)
+        more = {} if "longest" not in again.metadata else {k: again.metadata[k] for k in ("settle", "longest")}
+        operate = operating(events_of(again), again.metadata.get("begun"))
+        run = functools.partial(runs.obtain_run, str(arguments.cell), operate=operate, **more)
     folder = runs.output_folder(place, asked, products, out=arguments.out, force=arguments.force)
     with reporter(quiet=arguments.quiet) as report:
         if note:
@@ -118,6 +132,13 @@ def _run_run(arguments: argparse.Namespace) -> int:
         _print_run(run_figures(cell, recording, readings), findings)
     print_written(files, apart=True, quiet=arguments.quiet)
     causes = why(findings)
+    if again is not None:
+        step = differs_from(again, recording)
+        if step is not None:
+            say("failed:", f"the run differs from {arguments.replay} from step {step} on")
+            return _FAILED
+        if not arguments.quiet:
+            print("the run is the recorded one bit for bit")
     if causes:
         for line in causes:
             say("failed:", line)

@@ -4,18 +4,20 @@ from __future__ import annotations
 
 import shutil
 from collections.abc import Callable, Iterable, Sequence
+from dataclasses import replace
 from importlib import import_module
 from pathlib import Path
 
 from coopqp.collision.clearance import Clearance
 from coopqp.collision.scene import CollisionScene
 from coopqp.control.qp import QPController
-from coopqp.errors import OutputError, UnknownNameError
+from coopqp.errors import InvalidInputError, OutputError, UnknownNameError
 from coopqp.model.posture import PostureOptions
 from coopqp.output import check_below, check_folder, check_unused, folder_of, numbered, write_files
 from coopqp.planning.self_motion import led_path
 from coopqp.simulation.engine import run_in_engine
 from coopqp.simulation.evaluation.closeness import default_scene, with_clearance
+from coopqp.simulation.events import Operate
 from coopqp.simulation.recording.recording import Recording
 from coopqp.simulation.recording.scene import describe_object, read_object
 from coopqp.simulation.simulate import ProgressCallback, simulate
@@ -40,13 +42,22 @@ _NEEDS = {
 }
 
 
-def obtain_run(name: str, *, progress: ProgressCallback | None = None, meshes: bool = False) -> Recording:
+def obtain_run(
+    name: str,
+    *,
+    progress: ProgressCallback | None = None,
+    meshes: bool = False,
+    operate: Operate | None = None,
+    settle: float = 0.0,
+    longest: float | None = None,
+) -> Recording:
     """Load a recording (``.npz``), run a cell file (``.toml``, ``.yaml``), or run a scenario with the QP.
 
     Args:
         name: a file, or one of :data:`coopqp.scenarios.SCENARIOS`.
         progress: as in :func:`coopqp.simulate`.
         meshes: as in :meth:`Recording.load`.
+        operate, settle, longest: of a run, as in :func:`coopqp.simulate`; a cell file's own ones unless they are more.
 
     Raises:
         UnknownNameError: the name is neither a file nor a scenario.
@@ -58,7 +69,9 @@ def obtain_run(name: str, *, progress: ProgressCallback | None = None, meshes: b
 
     file = Path(name)
     if file.suffix in (TOML_SUFFIX, *YAML_SUFFIXES):
-        return load_cell_file(file).run(progress=progress)
+        task = load_cell_file(file)
+        task = replace(task, settle=max(task.settle, settle), longest=task.longest if longest is None else longest)
+        return task.run(progress=progress, operate=operate)
     if file.suffix == ".npz" or (file.exists() and name not in SCENARIOS):
         return Recording.load(file, meshes=meshes)
     if name not in SCENARIOS:
@@ -68,6 +81,8 @@ def obtain_run(name: str, *, progress: ProgressCallback | None = None, meshes: b
     metadata = {"scenario": scenario.name, "method": "qp", "object": box}
     scene, constraints = default_scene(scenario), []
     if scenario.engine is not None:
+        if operate is not None:
+            raise InvalidInputError(f"{name} runs in an engine by itself", "operator", "Give a cell file of it.")
         run = run_in_engine(scenario, progress=progress, metadata=metadata)
         return with_clearance(run, scene, avoided=False)
     if scenario.obstacles:
@@ -82,7 +97,10 @@ def obtain_run(name: str, *, progress: ProgressCallback | None = None, meshes: b
         scene=scene if constraints else None,
     )
     controller = QPController(scenario.cell, scenario.grasp, path, dt=scenario.dt, constraints=constraints)
-    run = simulate(controller, q_start=scenario.q_start, progress=progress, metadata=metadata)
+    run = simulate(
+        controller, q_start=scenario.q_start, duration=longest, settle=settle, progress=progress, operate=operate,
+        metadata=metadata,
+    )  # fmt: skip
     return with_clearance(run, scene, avoided=bool(constraints))
 
 

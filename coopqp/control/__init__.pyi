@@ -9,6 +9,7 @@ from .lookahead.options import PreviewOptions as PreviewOptions
 from .lookahead.preview import PathPreview as PathPreview
 from .monitoring.options import SupervisionOptions as SupervisionOptions
 from .monitoring.stall_bound import StallBound as StallBound
+from .operator.calls import OperatorCalls as OperatorCalls
 from .options import QPOptions as QPOptions
 from .qp import QPController as QPController
 from .step.constraint_set import Constraints as Constraints

@@ -15,7 +15,7 @@ from coopqp.checks import ArrayLike, read_only
 from coopqp.constraints.cause import Cause
 from coopqp.model.cell import RobotCell
 from coopqp.model.grasp import Grasp
-from coopqp.model.limits import BindingLimit, LimitKind
+from coopqp.model.limits import BindingLimit
 from coopqp.model.shapes import NearPair
 from coopqp.model.state import CellState
 from coopqp.paths.path import ObjectPath
@@ -33,6 +33,8 @@ class Status(enum.Enum):
     FAULT = "fault"  #: latched: the arms rest until ``reset`` is called with the measured configuration
     PAUSED = "paused"  #: the object rests on its path because its operator paused it, or set the override to 0
     OFF_PATH = "off path"  #: the object is further from its path than ``off_path_distance`` or ``off_path_angle``
+    JOGGING = "jogging"  #: the operator leads the object by hand, or it rests where the operator has led it
+    WAITING = "waiting"  #: the object rests on its path at a gate, until a signal comes
 
     @property
     def code(self) -> int:
@@ -47,7 +49,8 @@ class Status(enum.Enum):
 
 _STATUS_ORDER = list(Status)
 _PRECEDENCE = (
-    Status.TRACKING, Status.SLOWED, Status.BLOCKED, Status.PAUSED, Status.OFF_PATH, Status.HOLDING, Status.FAULT,
+    Status.TRACKING, Status.SLOWED, Status.BLOCKED, Status.PAUSED, Status.WAITING, Status.JOGGING, Status.OFF_PATH,
+    Status.HOLDING, Status.FAULT,
 )  # fmt: skip
 
 
@@ -109,6 +112,22 @@ def _array(name: str, size: str, meaning: str) -> Any:
     return property(read, doc=meaning)
 
 
+def _clock(name: str, meaning: str) -> Any:
+    """A clock of the program, by that of what is followed in the record, or among the values of a step without one."""
+    place = operator.attrgetter(f"{name}_at", "way")
+
+    def read(step: ControlStep) -> float:
+        context = step._context
+        if context is None:
+            value: float = step._values[name]
+            return value
+        at, way = place(context)
+        program_clock: float = way.origin + way.sense * _unpacked(step._record, at)[0]
+        return program_clock
+
+    return property(read, doc=meaning)
+
+
 def _number(name: str, meaning: str) -> Any:
     """A number in the record, or among the values of a step without one."""
     place = operator.attrgetter(f"{name}_at")
@@ -133,7 +152,9 @@ class ControlStep(Shown):
         velocity: commanded joint velocities (nv,) [rad/s or m/s], constant over the step.
         q_next: commanded configuration at the end of the step (nq,); send it to position servos.
         dt: length of the step [s].
-        clock, clock_next: the object's clock at both ends [s].
+        clock, clock_next: the object's clock on its program at both ends [s]; it falls on the way back, and stands
+            while the operator leads the object by hand.
+        sense: 1 along the program, −1 on the way back, 0 away from it, by hand.
         rate: σ, share of the nominal path rate.
         status, reason: the result of the step, in a word and in a sentence.
         cause: why the status is not TRACKING, for programs; None while it is.
@@ -163,18 +184,19 @@ class ControlStep(Shown):
     commanded_apart: float
     clearance: NearPair | None
     build_time_s: float
+    sense: int
 
     # Loops read these at every step: properties spare them the detour through __getattr__.
     q: Array = _array("q", "nq", "Commanded configuration at the start of the step (nq,).")
     velocity: Array = _array("velocity", "nv", "Commanded joint velocities (nv,) [rad/s or m/s].")
     q_next: Array = _array("q_next", "nq", "Commanded configuration at the end of the step (nq,).")
     dt: float = _number("dt", "Length of the step [s].")
-    clock: float = _number("clock", "The object's clock at the start of the step [s].")
-    clock_next: float = _number("clock_next", "The object's clock at the end of the step [s].")
+    clock: float = _clock("clock", "The object's clock on its program at the start of the step [s].")
+    clock_next: float = _clock("clock_next", "The object's clock on its program at the end of the step [s].")
 
     @property
     def path(self) -> ObjectPath:
-        """The path that the step follows."""
+        """The object's program."""
         context = self._context
         value: ObjectPath = self._values["path"] if context is None else context.path
         return value
@@ -201,6 +223,7 @@ class ControlStep(Shown):
         commanded_apart: float = math.nan,
         clearance: NearPair | None = None,
         build_time_s: float = 0.0,
+        sense: int = 1,
     ) -> None:
         values = dict(locals())  # a copy: debuggers write into locals()
         del values["self"]
@@ -274,15 +297,18 @@ class ControlStep(Shown):
         """A sentence with the status, the binding limits, the reason and the lost parts of the ranks."""
         where = f" ({'; '.join(str(b) for b in self.binding)})" if self.binding else ""
         rate = f" at {100 * self.rate:.3g} % of its rate" if self.status is Status.SLOWED else ""
-        slowed = "The object waits on its path" if self.rate < _WAITS else "The object follows its path" + rate
+        follows = "The object goes back along its path" if self.sense < 0 else "The object follows its path"
+        slowed = "The object waits on its path" if self.rate < _WAITS else follows + rate
         what = {
-            Status.TRACKING: "The object follows its path",
+            Status.TRACKING: follows,
             Status.SLOWED: slowed,
             Status.BLOCKED: "The object cannot go on",
             Status.HOLDING: "All arms brake together and hold",
             Status.FAULT: "Stopped until reset() is called with the measured configuration",
             Status.PAUSED: "Paused: the object rests on its path",
             Status.OFF_PATH: "The object is off its path",
+            Status.JOGGING: "The operator leads the object",
+            Status.WAITING: "The object waits at a gate",
         }[self.status]
         reasons = [self.reason] if self.reason else []
         if self.status is Status.OFF_PATH and reasons:  # its reason begins with the distance
@@ -317,18 +343,11 @@ def _restored(values: dict[str, Any]) -> ControlStep:
 
 
 def amend(step: ControlStep, **values: Any) -> None:
-    """Change the words or the status of a step before anyone sees it."""
-    if "status" in values:
-        _set(step, "status", values["status"])
+    """Change the words, the status or the rate of a step before anyone sees it."""
+    for name in ("status", "rate"):
+        if name in values:
+            _set(step, name, values[name])
     step._values.update(values)
-
-
-def brakes_for_target(step: ControlStep) -> None:
-    """Say that a target that moves slows the object down in this step, and no operator."""
-    if step.status in (Status.SLOWED, Status.PAUSED):
-        binding = tuple(b for b in step.binding if b.kind is not LimitKind.OVERRIDE)
-        reason = "; ".join(filter(None, (step.reason, "the object brakes before it goes over to its new target")))
-        amend(step, status=Status.SLOWED, cause=Cause.OPERATOR, binding=binding, reason=reason)
 
 
 def off_path(distance: float, angle: float) -> str:
@@ -343,8 +362,12 @@ class Controller(Protocol):
 
     cell: RobotCell
     grasp: Grasp
-    path: ObjectPath
     dt: float
+
+    @property
+    def path(self) -> ObjectPath:
+        """The object's path."""
+        ...
 
     def reset(self, q: ArrayLike) -> None:
         """Start at rest at a measured configuration (nq,), or the mean of readings (n, nq), with the clock at 0.

@@ -20,11 +20,12 @@ import pinocchio as pin
 
 from coopqp.checks import NOT_NUMBERS, ArrayLike, as_options, as_scalar, require
 from coopqp.control.core import make_loop
-from coopqp.control.interface import ControlStep, Status, amend, brakes_for_target, short_text
+from coopqp.control.interface import ControlStep, Status, amend, short_text
 from coopqp.control.lock import alone
-from coopqp.control.lookahead.ramp_time import RampTime
+from coopqp.control.operator.calls import OperatorCalls
+from coopqp.control.operator.changes import Target
+from coopqp.control.operator.operator import Operator
 from coopqp.control.options import QPOptions
-from coopqp.control.retargeting import object_rests, retarget_motion
 from coopqp.control.step.constraint_set import Constraints
 from coopqp.control.step.plain import PlainLoop
 from coopqp.control.step.start import check_start, held_command, rate_into, start_warning
@@ -40,7 +41,7 @@ from coopqp.spatial import Array, Placement, as_placement
 
 
 @final
-class QPController:
+class QPController(OperatorCalls):
     """Cooperative QP controller for any number of arms that hold one object.
 
     A copy (``copy.copy``, ``copy.deepcopy``, pickle) goes on bit for bit where the original stands; with another solver
@@ -85,24 +86,25 @@ class QPController:
         options: QPOptions | Mapping[str, Any] | None,
         constraints: Sequence[Any],
     ) -> None:
-        self.cell, self.grasp, self.path = cell, grasp, path
+        self.cell, self.grasp = cell, grasp
         self.dt = as_scalar(dt, "QPController: dt")
         self.options = as_options(QPOptions, options, "QPController: options")
         self._checked = Constraints(cell, constraints)
         self.constraints = self._checked.given
         self._loop = make_loop(cell, grasp, dt=self.dt, options=self.options, constraints=self._checked)
         self.kernel, self.solver = self._loop.kernel, self._loop.solver.name
-        self._ramp_time = RampTime(cell, grasp, self.options.preview, dt=self.dt)
+        self._operator = Operator(cell, grasp, self._loop, path, dt=self.dt, options=self.options)
         self._started = self._outside = self._minded = False
         #: By how much the tools are elsewhere on the object than the grasp says (N, 6); None if they are not.
         self._shift: Array | None = None
-        #: The target that the object is retargeted to as soon as it can be, None without one; the object brakes until
-        #: then. And the speed override with which it goes on.
-        self._wanted: pin.SE3 | None = None
-        self._next_override = 1.0
         #: An operator's calls from another thread than the one that steps: made in the next step.
         self._waiting: deque[Callable[[], object]] = deque()
         self._take(path)
+
+    @property
+    def path(self) -> ObjectPath:
+        """The object's program: the path that was given, followed or shifted last."""
+        return self._operator.way.program
 
     @property
     def _lock(self) -> Any:
@@ -112,23 +114,24 @@ class QPController:
         elbows = getattr(path, "elbows", None)
         if isinstance(elbows, Elbows) and elbows.x.shape[1:] != (self.cell.nv,):
             raise InvalidInputError("its elbows are those of another cell", "QPController: path", "Give this cell's.")
-        self.path = path
+        self._operator.restart(path)
         self._loop.follow(path)
         self._find_fast_step()
 
     def _find_fast_step(self) -> None:
-        path = self.path
+        operator = self._operator
+        self._glances = operator.glances
         #: The core's own step, where nothing needs Python.
         self._fast: Callable[[Any, Any], ControlStep | None] | None = None
         if (
             self._started
             and not self._outside
             and not isinstance(self._loop, PlainLoop)
-            and is_known(path)
-            and self._wanted is None
+            and is_known(operator.way.path)
+            and operator.quiet
             and (not self.constraints or self._checked.certified is not None)
         ):
-            self._fast = self._loop.step
+            self._fast = self._glancing if self._glances else self._loop.step
         if self._waiting:
             self._fast = None
 
@@ -202,11 +205,13 @@ class QPController:
         if isinstance(self.path, ServoPath) and again:
             self.path.restart(path.pose(0.0))
         warned = self._start_warnings(start, GuardedPath(path).pose(clock))
-        self._loop.set_reins(self.override, paused=self.paused)
-        self._started, self._outside, self._wanted = True, bool(warned), None
+        self._operator.restart(self.path)
+        self._operator.take_events()
+        self._started, self._outside = True, bool(warned)
         self._loop.start(start)
         self._take(self.path)
         self._loop.start_path(clock, self._first_rate(clock))
+        self._operator.begin_trail()
         if warned:
             warnings.warn("; ".join(warned), StartWarning, stacklevel=3)
         unknown = o.supervision.stiffness is None and not self._minded and len(self.cell) > 1
@@ -245,22 +250,21 @@ class QPController:
         """
         GuardedPath(path).check("follow")
         clock = _on(path, clock, "follow: clock")
-        self._soon(lambda: self._follow(path, clock))
+        self.operate("follow", None, lambda operator: self._follow(path, clock))
 
     def _follow(self, path: ObjectPath, clock: float) -> None:
         rate = self._rate_into(path, clock) if self._started else None
-        self._loop.set_reins(self.override, paused=self.paused)
-        self._wanted = None
         self._take(path)
         if self._started:
             self._loop.start_path(clock, self._first_rate(clock) if rate is None else rate)
+            self._operator.begin_trail()
 
     def _rate_into(self, path: ObjectPath, clock: float) -> float | None:
         """The rate on the new path; None for the rate of a start."""
         loop = self._loop
         if not np.isfinite(self.cell.limits.acceleration).any():
             return max(loop.rate, 0.0 if self.paused else self.override)
-        now, ahead = GuardedPath(self.path).twist(loop.clock), GuardedPath(path).twist(clock)
+        now, ahead = GuardedPath(self._operator.way.path).twist(loop.clock), GuardedPath(path).twist(clock)
         if now is None or ahead is None:
             return None
         return rate_into(loop.rate, now, ahead, length=self.options.weights.length)
@@ -276,22 +280,32 @@ class QPController:
             InvalidInputError: not a number from 0 to 1; the old override stays.
         """
         share = as_scalar(share, "set_override: share", open_low=False, high=1.0)
-        self._soon(lambda: self._override(share))
 
-    def _override(self, share: float) -> None:
-        self._next_override = share
-        self._loop.set_reins(share, paused=self.paused)
+        def set_it(operator: Operator) -> None:
+            operator.gear = None
+            operator.override = share
+
+        self.operate("set_override", share, set_it)
+
+    def lower_rate(self, share: float) -> None:
+        """The largest rate σ that forces allow, in the thread that steps; it is no call of an operator."""
+        self._operator.override = share
+
+    @property
+    def geared(self) -> float | None:
+        """The path speed σ that a belt asks for, see :meth:`gear`; None if none does."""
+        return self._operator.geared()
 
     def pause(self) -> None:
         """Bring the object to rest on its path, until :meth:`resume`; a reset or another path changes nothing.
 
         At rest the status is PAUSED. Errors are still corrected; the arms' null-space motion stops.
         """
-        self._soon(lambda: self._loop.set_reins(self.override, paused=True))
+        self.operate("pause", None, lambda operator: operator.pause(True))
 
     def resume(self) -> None:
         """Go on after :meth:`pause`, up to the override."""
-        self._soon(lambda: self._loop.set_reins(self.override, paused=False))
+        self.operate("resume", None, lambda operator: operator.pause(False))
 
     @property
     def shares(self) -> Array:
@@ -301,12 +315,12 @@ class QPController:
     @property
     def override(self) -> float:
         """The largest rate σ that is asked for, while the object is not paused."""
-        return self._next_override if self._wanted is not None else self._loop.reins[0]
+        return self._operator.override
 
     @property
     def paused(self) -> bool:
         """Whether the object is asked to rest; once it does the status of a step is PAUSED."""
-        return self._loop.reins[1]
+        return self._operator.paused
 
     def retarget(self, T_world_object: Placement) -> None:
         """Move the target of a :class:`ServoPath`.
@@ -323,31 +337,46 @@ class QPController:
                 f"the path is a {type(self.path).__name__}", "retarget", "Build the controller with a ServoPath."
             )
         wanted = as_placement(T_world_object, "retarget")
-        self._soon(lambda: self._retarget(wanted))
+        self.operate("retarget", wanted.homogeneous.tolist(), lambda operator: self._retarget(operator, wanted))
 
-    def _retarget(self, wanted: pin.SE3) -> None:
-        if not isinstance(self.path, ServoPath):  # another path is followed since
+    def _retarget(self, operator: Operator, wanted: pin.SE3) -> None:
+        path = self.path
+        if not isinstance(path, ServoPath):  # another path is followed since
             return
-        self._next_override, self._wanted = self.override, wanted
-        self._go_over()
-        self._find_fast_step()
+        if self._started:
+            operator.ask(Target(wanted))
+        else:
+            path.set_target(wanted, clock=0.0, rate=0.0)
 
-    def _go_over(self) -> None:
-        """Retarget: take the way to the wanted target as soon as it may be; until then brake on the present way."""
-        loop, path, goal, paused = self._loop, self.path, self._wanted, self.paused
-        assert isinstance(path, ServoPath)
-        assert goal is not None
-        if not self._started:
-            path.set_target(goal, clock=0.0, rate=0.0)
-            self._wanted = None
-            return
-        loop.set_reins(self._next_override, paused=paused)
-        full = 0.0 if paused else self._next_override
-        taken = None if isinstance(loop, PlainLoop) else loop.retarget_motion(path, goal, full)
-        if retarget_motion(loop, path, self._ramp_time, goal, full) if taken is None else taken:
-            self._wanted = None
-        elif np.isfinite(self.cell.limits.acceleration).any() or object_rests(loop, path):
-            loop.set_reins(0.0, paused=paused)
+    @property
+    def _commanded(self) -> QPController:
+        return self
+
+    @property
+    def program_clock(self) -> float:
+        """The object's clock on its program [s]."""
+        return self._operator.clock
+
+    def operate(self, call: str, value: Any, act: Callable[[Operator], None], *, started: bool = False) -> None:
+        """Make an operator's call: at once, or in the next step where another thread steps.
+
+        Args:
+            call, value: the call's name and its value, for recordings.
+            act: what it does.
+            started: it needs a reset before.
+
+        Raises:
+            InvalidInputError: before the first :meth:`reset`, for a call that needs it.
+        """
+        if started and not self._started:
+            raise InvalidInputError("nothing moves before reset", call, "Call reset(q) first.")
+
+        def done() -> None:
+            self._operator.note(call, value)
+            act(self._operator)
+            self._find_fast_step()
+
+        self._soon(done)
 
     def shift_grasp(self, shift: ArrayLike) -> None:
         """Hold the object at shifted places of the tools from the next step on: ``exp(d_k) X_k`` for ``X_k`` of grasp.
@@ -414,6 +443,16 @@ class QPController:
         """Where the last step has asked for the object: the path's pose at its clock, if there is one."""
         return self._loop.reference
 
+    def take_events(self) -> list[tuple[str, Any, float]]:
+        """The operator's calls since the last time: name, value as plain data, and the program's clock then [s]."""
+        return self._operator.take_events()
+
+    @property
+    def asked_pose(self) -> pin.SE3 | None:
+        """Where the operator asks for the object by hand, at the end of the last step; None along the program."""
+        way = self._operator.way
+        return way.path.pose(self._loop.clock) if way.sense == 0 else None
+
     @property
     def commanded(self) -> Array:
         """Commanded configuration at the end of the last step (nq,)."""
@@ -460,63 +499,81 @@ class QPController:
         if self._waiting:
             self._catch_up()
             self._find_fast_step()
-        if self._wanted is not None:
-            self._go_over()
-            self._find_fast_step()
+        operator = self._operator
+        if operator.gear is not None and not self._minded:
+            operator.override = operator.override if (share := operator.geared()) is None else share
+        operator.before(self.accepted_dt(dt))
         if isinstance(self._loop, PlainLoop):
             began = time.perf_counter()
             step = self._loop.commit(self._loop.propose(self._loop.observe(q_measured, dt)), began)
         else:
             step = self._loop.careful_step(q_measured, dt)
-        if self._wanted is not None and not self.paused:
-            brakes_for_target(step)
+        operator.tell(step)
+        if self._glances:
+            operator.passed(step)
         if self._outside:  # it started there: say so until it is mended
             off_path = step.status is Status.OFF_PATH or step.status in (Status.HOLDING, Status.FAULT)
-            warned = self._start_warnings(step.q, None if off_path else GuardedPath(self.path).pose(step.clock))
+            by_hand = off_path or step.status is Status.JOGGING
+            warned = self._start_warnings(step.q, None if by_hand else GuardedPath(self.path).pose(step.clock))
             if warned or off_path:
                 amend(step, reason="; ".join(filter(None, (step.reason, *warned))))
             else:
                 self._outside = False
-                self._find_fast_step()
+        self._find_fast_step()
         return step
+
+    def _glancing(self, q_measured: Any, dt: Any) -> ControlStep | None:
+        """The core's own step, and a moment's look after it."""
+        step: ControlStep | None = self._loop.step(q_measured, dt)  # type: ignore[union-attr]
+        operator = self._operator
+        if operator.looks_in > 1:
+            operator.looks_in -= 1
+        elif step is not None and operator.passed(step):
+            self._fast = None
+        return step
+
+    def look_at(self, step: ControlStep) -> None:
+        """After each step of the core's own: note what an operator's way needs."""
+        if self._glances and self._operator.passed(step):
+            self._fast = None
 
     # -- copies ----------------------------------------------------------------------------------------------------
 
     @alone
     def __getstate__(self) -> dict[str, Any]:
         self._catch_up()
-        names = ("cell", "grasp", "path", "dt", "options", "constraints", "kernel")
+        names = ("cell", "grasp", "dt", "options", "constraints", "kernel")
         state = {name: getattr(self, name) for name in names}
-        wanted = None if self._wanted is None else self._wanted.copy()
-        own = {"started": self._started, "outside": self._outside, "wanted": wanted, "asked": self.override}
+        own = {"started": self._started, "outside": self._outside, "operator": self._operator.memory()}
         own["shift"] = None if self._shift is None else self._shift.copy()
         return state | own | {"memory": self._loop.memory()}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
-        names = ("kernel", "started", "outside", "wanted", "asked", "shift", "memory")
-        kernel, started, outside, wanted, asked, shift, memory = (state.pop(name) for name in names)
-        self._build(**state)  # the path may fail for a while: that is no reason not to be copied
+        names = ("kernel", "started", "outside", "operator", "shift", "memory")
+        kernel, started, outside, operator, shift, memory = (state.pop(name) for name in names)
+        # the path may fail for a while: that is no reason not to be copied
+        self._build(path=operator["way"].program, **state)
         if self.kernel != kernel:
             raise InvalidInputError(
                 f"the copied controller ran the {kernel} kernel, this one runs the {self.kernel} one",
                 "QPController",
                 "Build both with the same QPOptions(kernel=…).",
             )
-        self._started, self._outside, self._wanted, self._next_override = started, outside, wanted, asked
-        self._take(self.path)
+        self._started, self._outside = started, outside
+        self._operator.restore(operator)
         self._loop.restore(memory)
+        self._find_fast_step()
         if shift is not None:
             self.shift_grasp(shift)
 
     def __copy__(self) -> QPController:
         state = self.__getstate__()
-        if isinstance(self.path, ServoPath):  # its target moves
-            state["path"] = copy.deepcopy(self.path)
+        state["operator"]["way"] = self._operator.way.apart()
         return self._copied(state)
 
     def __deepcopy__(self, memo: dict[int, Any]) -> QPController:
         state = self.__getstate__()
-        for name in ("path", "constraints"):
+        for name in ("operator", "constraints"):
             state[name] = copy.deepcopy(state[name], memo)
         return self._copied(state)
 

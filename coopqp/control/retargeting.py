@@ -9,10 +9,11 @@ import pinocchio as pin
 
 from coopqp.control.lookahead.ramp_time import RampTime
 from coopqp.native.constants import RATE_TOLERANCE, STILL_OBJECT
+from coopqp.paths.path import ObjectPath
 from coopqp.paths.servo import ServoPath
 
 
-def object_rests(loop: Any, path: ServoPath) -> bool:
+def object_rests(loop: Any, path: ObjectPath) -> bool:
     """Whether the object rests on its path; ``loop`` is a plain or a compiled one."""
     return not np.abs(loop.rate * path.twist(loop.clock)).max() > STILL_OBJECT
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import io
+import json
 import re
 import shutil
 from collections.abc import Iterable, Iterator
@@ -34,7 +35,8 @@ def csv_text(recording: Recording, *, cell: RobotCell | None = None, load: LoadU
     """A run as CSV: one row per sample, numbers with all digits. :func:`csv_parts` has it in parts.
 
     Columns: time and the object's clock; rate, status and binding limits of the step that starts at the sample (empty
-    in the last row); measured position, commanded position and commanded velocity of every joint; the path's pose
+    in the last row); if an operator made calls, those ahead of it; measured position, commanded position and commanded
+    velocity of every joint; the path's pose
     (position, quaternion); the errors of :class:`coopqp.simulation.Readings`. Units are in the names.
 
     Args:
@@ -68,14 +70,15 @@ def csv_parts(recording: Recording, *, cell: RobotCell | None = None, load: Load
 
 
 def _parts(cell: RobotCell, recording: Recording, load: LoadUse | None) -> Iterator[str]:
-    head = _header(cell)
+    calls = _calls(recording)
+    head = _header(cell, calls=bool(calls))
     if load is not None:
         units = ["N" if slide else "N_m" for slide in slides(cell)]
         head += [f"{name}.torque_{unit}" for name, unit in zip(cell.joint_names, units, strict=True)] + ["load_share"]
     yield _lines([head])
     bindings = recording.bindings
     for part in recording.parts(len(recording.time)):
-        rows = _rows(cell, recording, bindings, part)
+        rows = _rows(cell, recording, bindings, calls, part)
         if load is not None:
             torques = np.column_stack([load.torques[part], load.share[part]]).tolist()
             rows = ([*row, *more] for row, more in zip(rows, torques, strict=True))
@@ -96,7 +99,7 @@ def _cell(value: Any) -> Any:
     return f"'{text}" if text.startswith(("=", "+", "-", "@")) else text
 
 
-def _header(cell: RobotCell) -> list[str]:
+def _header(cell: RobotCell, *, calls: bool) -> list[str]:
     units = ["m" if slide else "rad" for slide in slides(cell)]
     joints = list(zip(cell.joint_names, units, strict=True))
     return [
@@ -105,6 +108,7 @@ def _header(cell: RobotCell) -> list[str]:
         "rate",
         "status",
         "binding",
+        *(["call"] if calls else []),
         *(f"{name}.position_{unit}" for name, unit in joints),
         *(f"{name}.command_{unit}" for name, unit in joints),
         *(f"{name}.velocity_{unit}_per_s" for name, unit in joints),
@@ -114,8 +118,21 @@ def _header(cell: RobotCell) -> list[str]:
     ]
 
 
+def _calls(recording: Recording) -> dict[int, str]:
+    """What an operator called, by the step ahead of which it was."""
+    found: dict[int, str] = {}
+    for i, call, value, _ in recording.metadata.get("calls", ()):
+        said = call if value is None else f"{call} {json.dumps(value)}"
+        found[int(i)] = f"{found[int(i)]}; {said}" if int(i) in found else said
+    return found
+
+
 def _rows(
-    cell: RobotCell, recording: Recording, bindings: list[tuple[BindingLimit, ...]], part: slice
+    cell: RobotCell,
+    recording: Recording,
+    bindings: list[tuple[BindingLimit, ...]],
+    calls: dict[int, str],
+    part: slice,
 ) -> Iterator[list[Any]]:
     """The rows of some samples."""
     readings = read_part(cell, recording, part)
@@ -125,6 +142,7 @@ def _rows(
         last = i == recording.n_steps
         status = "" if last else order[int(recording.status[i])].value
         step = [""] * 3 if last else [float(recording.rate[i]), status, "; ".join(map(str, bindings[i]))]
+        step += [calls.get(i, "")] if calls else []
         velocity = [""] * cell.nv if last else recording.velocity[i].tolist()
         pose = pin.SE3(recording.reference[i])
         yield [

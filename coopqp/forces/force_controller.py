@@ -7,6 +7,7 @@ from collections.abc import Mapping
 from typing import Any, final
 
 import numpy as np
+import pinocchio as pin
 
 from coopqp.baselines.pseudo_inverse import PseudoInverseController
 from coopqp.checks import ArrayLike, as_options, as_scalar, require
@@ -23,6 +24,9 @@ from coopqp.control.core.relax_plain import (
 )
 from coopqp.control.interface import ControlStep, Status, amend, short_text
 from coopqp.control.lock import alone
+from coopqp.control.operator.calls import OperatorCalls
+from coopqp.control.operator.changes import Change
+from coopqp.control.operator.operator import Operator
 from coopqp.control.qp import QPController
 from coopqp.errors import InvalidInputError
 from coopqp.forces.admittance import Relaxation
@@ -49,7 +53,7 @@ _VARYING = ("_differences", "_compared", "_check", "_place", "_found", "_disturb
 
 
 @final
-class ForceController:
+class ForceController(OperatorCalls):
     """A cooperative controller whose arms relax the forces between them, see :mod:`coopqp.forces.admittance`.
 
     At first the object rests. The sensors are compared with the servos; the arms press a little, to learn how stiff
@@ -85,7 +89,7 @@ class ForceController:
 
     def _build(self, controller: QPController | PseudoInverseController, options: ForceOptions) -> None:
         self.controller, self.options = controller, options
-        self.cell, self.grasp, self.path, self.dt = controller.cell, controller.grasp, controller.path, controller.dt
+        self.cell, self.grasp, self.dt = controller.cell, controller.grasp, controller.dt
         self._relaxation = Relaxation(
             self.cell, self.grasp, options, dt=controller.dt, shares=controller.shares, kernel=controller.kernel
         )
@@ -132,6 +136,38 @@ class ForceController:
         return self.controller._lock
 
     @property
+    def path(self) -> ObjectPath:
+        """The controller's path."""
+        return self.controller.path
+
+    def take_events(self) -> list[tuple[str, Any, float]]:
+        """See :meth:`coopqp.QPController.take_events`."""
+        return self.controller.take_events() if isinstance(self.controller, QPController) else []
+
+    @property
+    def paused(self) -> bool:
+        """See :attr:`coopqp.QPController.paused`."""
+        return bool(getattr(self.controller, "paused", False))
+
+    @property
+    def override(self) -> float:
+        """The largest rate that is asked for; forces may allow less."""
+        return float(self._scalars.asked)
+
+    @property
+    def asked_pose(self) -> pin.SE3 | None:
+        """See :attr:`coopqp.QPController.asked_pose`."""
+        return getattr(self.controller, "asked_pose", None)
+
+    @property
+    def _commanded(self) -> QPController:
+        return self._qp
+
+    def _asked(self, name: str, value: Any, change: Change) -> None:
+        super()._asked(name, value, change)
+        self._scalars.goes_on = 1.0
+
+    @property
     def _qp(self) -> QPController:
         """The controller within, for what only that one can do."""
         controller = self.controller
@@ -171,7 +207,6 @@ class ForceController:
     def follow(self, path: ObjectPath, *, clock: float = 0.0) -> None:
         """Take another path; see :meth:`coopqp.QPController.follow`. It ends a hold, as :meth:`resume` does."""
         self._qp.follow(path, clock=clock)
-        self.path = path
         self._scalars.goes_on = 1.0
 
     def retarget(self, T_world_object: Placement) -> None:
@@ -181,7 +216,14 @@ class ForceController:
 
     def set_override(self, share: float) -> None:
         """The largest rate of the object; see :meth:`coopqp.QPController.set_override`."""
-        self._scalars.asked = as_scalar(share, "set_override: share", open_low=False, high=1.0)
+        share = as_scalar(share, "set_override: share", open_low=False, high=1.0)
+        if isinstance(self.controller, QPController):
+            self.controller.operate("set_override", share, lambda operator: self._override(operator, share))
+        else:
+            self._scalars.asked = share
+
+    def _override(self, operator: Operator, share: float) -> None:
+        operator.gear, self._scalars.asked = None, share
 
     def pause(self) -> None:
         """Bring the object to rest until :meth:`resume`; the arms go on to relax."""
@@ -242,6 +284,7 @@ class ForceController:
             if step is None:
                 return self._finish()
             if step is not False:
+                self._qp.look_at(step)
                 return step
         return self._slow(q_measured, wrenches, dt)
 
@@ -264,10 +307,16 @@ class ForceController:
             relaxation.shift += min(length / self.options.ramp_time, 1.0) * (self._place - relaxation.shift)
         if gives or stage == PRESSING:
             self._shifted()
+        geared = self.controller.geared if isinstance(self.controller, QPController) else None
+        if geared is not None:
+            self._scalars.asked = geared
         share = relaxation.allow(length)
         self._minded = self.controller.take_minding(self._memory, self._tell)  # another may have stepped it
         if share != self.controller.override:
-            self.controller.set_override(share)
+            if isinstance(self.controller, QPController):
+                self.controller.lower_rate(share)
+            else:
+                self.controller.set_override(share)
         return self._made(self.controller.step(q_measured, dt=dt))
 
     def _made(self, step: ControlStep) -> ControlStep:

@@ -1,6 +1,6 @@
 /* Pose and twist of the object's path: segments of 29 numbers
  *   R(0) 0–8, p(0) 9–11, rotation vector 12–14, displacement 15–17, start 18, duration 19, time law 20 (0 linear,
- *   1 quintic, 2 ramps), velocity 21–23 and angular velocity 24–26 that die away, times of both ramps 27–28
+ *   1 quintic, 2 ramps, 3 even acceleration from 21, the speed at the start over the mean one), velocity 21–23 and angular velocity 24–26 that die away, times of both ramps 27–28
  * as the library's own paths pack them, or a path that only its owner knows. */
 
 #include "functions.h"
@@ -11,11 +11,14 @@ struct Place {
 };
 
 /* TimeLaw.value_at and slope_at */
-static Place on_law(double x, double quintic, double duration) {
+static Place on_law(double x, double law, double first, double duration) {
     Place at = {};
-    if (x >= 0.0 && x < 1.0) at.rate = (quintic != 0.0 ? 30.0 * x * x * (1.0 - x) * (1.0 - x) : 1.0) / duration;
+    const int quintic = law == 1.0;
+    const double w = law == 3.0 ? first : 1.0;
+    if (x >= 0.0 && x < 1.0)
+        at.rate = (quintic ? 30.0 * x * x * (1.0 - x) * (1.0 - x) : w + 2.0 * (1.0 - w) * x) / duration;
     if (x <= 0.0) return at;
-    at.u = quintic != 0.0 ? x * x * x * (10.0 + x * (6.0 * x - 15.0)) : x;
+    at.u = quintic ? x * x * x * (10.0 + x * (6.0 * x - 15.0)) : x * (w + (1.0 - w) * x);
     if (x >= 1.0 || at.u > 1.0) at.u = 1.0; /* by rounding; a NaN stays one */
     return at;
 }
@@ -45,7 +48,7 @@ static int has_ramps(const double *segment) { return segment[20] == 2.0; }
 static Place place_on(const double *segment, double clock) {
     const double t = clock - segment[18];
     if (has_ramps(segment)) return on_ramps(t, segment[19], segment[27], segment[28]);
-    return on_law(t / segment[19], segment[20], segment[19]);
+    return on_law(t / segment[19], segment[20], segment[21], segment[19]);
 }
 
 static int count_of(const Core *c, int what) { return (int)c->path_numbers[what]; }
@@ -55,7 +58,11 @@ static const double *segment_at(const Core *c, double clock, double *end) {
     const int count = count_of(c, 2);
     const double *segment = c->path_numbers + 3 + count_of(c, 1);
     int i = 0;
-    while (i + 1 < count && segment[SEGMENT * (i + 1) + 18] <= clock) i++;
+    for (int n = count; n > 1;) { /* the last one that has begun; a plan has hundreds */
+        const int half = n / 2;
+        if (segment[SEGMENT * (i + half) + 18] <= clock) i += half, n -= half;
+        else n = half;
+    }
     *end = i + 1 < count ? segment[SEGMENT * (i + 1) + 18] : INFINITY;
     return segment + SEGMENT * i;
 }

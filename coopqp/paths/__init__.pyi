@@ -6,5 +6,7 @@ from .path import (
     TimeLaw as TimeLaw,
     WaypointPath as WaypointPath,
 )
+from .section import Section as Section
 from .servo import ServoPath as ServoPath
+from .shifted import ShiftedPath as ShiftedPath
 from .timed import SpeedProfile as SpeedProfile, TimedPath as TimedPath

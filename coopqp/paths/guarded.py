@@ -24,7 +24,9 @@ from coopqp.native.constants import (
 )
 from coopqp.paths.elbows import Elbows
 from coopqp.paths.path import HoldPath, LinePath, ObjectPath, WaypointPath
+from coopqp.paths.section import Section
 from coopqp.paths.servo import ServoPath
+from coopqp.paths.shifted import ShiftedPath
 from coopqp.paths.timed import TimedPath
 from coopqp.spatial import Array, as_placement
 
@@ -44,6 +46,8 @@ _TWIST_SHARE, _TWIST_TOLERANCE = 0.1, 1e-3
 
 def is_known(path: ObjectPath) -> bool:
     """Whether the path is one of the library's own, which neither raise nor return nonsense."""
+    while type(path) in (Section, ShiftedPath):
+        path = path.path  # type: ignore[attr-defined]
     return type(path) in (LinePath, WaypointPath, HoldPath, ServoPath, TimedPath)
 
 

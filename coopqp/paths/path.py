@@ -102,7 +102,8 @@ class ObjectPath(abc.ABC):
 
         ``[duration, number of breakpoints, number of segments, breakpoints …, segments …]``; a segment has 29 numbers:
         ``R(0)`` row by row (9), p(0) (3), φ* r (3), displacement in the world (3), start [s], duration [s], time law
-        (0 linear, 1 quintic, 2 ramps), and of ramps the motion that dies away (6) and the times of both ramps (2) [s].
+        (0 linear, 1 quintic, 2 ramps, 3 even acceleration), and of ramps the motion that dies away (6) and the times of
+        both ramps (2) [s], of even acceleration the speed at the start over the mean speed (1).
         """
         return None
 

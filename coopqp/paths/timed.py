@@ -16,7 +16,7 @@ from coopqp.checks import as_scalar, read_only
 from coopqp.errors import InvalidInputError, said
 from coopqp.model.limits import BindingLimit, LimitKind
 from coopqp.paths.elbows import Elbows
-from coopqp.paths.geometry import PathGeometry, piece_of
+from coopqp.paths.geometry import PathGeometry, Straight, piece_of
 from coopqp.paths.path import ObjectPath
 from coopqp.spatial import Array
 
@@ -180,6 +180,34 @@ class TimedPath(ObjectPath):
             return np.zeros(6)
         R, V = self._geometry.pose(s).rotation, self._geometry.twist(s)
         return (V.reshape(2, 3) @ R).ravel() * speed
+
+    def packed(self) -> Array | None:
+        """See :meth:`ObjectPath.packed`: a segment for each interval of even acceleration on a line.
+
+        None where a piece is no straight one, which only Python knows.
+        """
+        if not all(isinstance(piece, Straight) for piece in self._geometry.pieces):
+            return None
+        segments: list[Array] = []
+        for piece, mark in zip(self._geometry.pieces, self._geometry.marks.tolist(), strict=False):
+            assert isinstance(piece, Straight)
+            end = mark + piece.length
+            inner = self.profile.s[(self.profile.s > mark) & (self.profile.s < end)]
+            ends = np.concatenate([[mark], inner, [end]])
+            clocks, (R, p) = self.clocks(ends), piece.poses(ends - mark)
+            for i, (T, gone) in enumerate(zip(np.diff(clocks), np.diff(ends), strict=True)):
+                if T > 0.0:
+                    speed = self._speed_at(0.5 * (ends[i] + ends[i + 1]), 0.5 * (clocks[i] + clocks[i + 1]), T)
+                    law = [clocks[i], T, 3.0, min(max(speed * T / gone, 0.0), 2.0)]
+                    share = gone / piece.length
+                    whole = [R[i].ravel(), p[i], share * piece.turn, share * piece.way]
+                    segments.append(np.concatenate([*whole, law, np.zeros(7)]))
+        return np.concatenate([[self.duration, 0.0, len(segments)], *segments])
+
+    def _speed_at(self, middle: float, clock: float, span: float) -> float:
+        """ṡ [m/s] half a span [s] before a clock; s is ``middle`` between the two knots that hold both."""
+        slope = self._slopes[min(bisect_right(self._s, middle), len(self._slopes)) - 1]
+        return self.at(clock)[1] - 0.5 * span * float(slope)
 
     def record(self) -> dict[str, Any]:
         """The path as plain lists of numbers, from which :meth:`of_record` makes it again, bit for bit."""

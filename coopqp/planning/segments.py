@@ -16,6 +16,8 @@ import pinocchio as pin
 
 from coopqp.paths.geometry import MotionBounds, Piece, Straight
 from coopqp.paths.path import ObjectPath, TimeLaw
+from coopqp.paths.section import Section
+from coopqp.paths.timed import TimedPath
 from coopqp.spatial import Array
 
 _NUMBERS = 29
@@ -123,7 +125,7 @@ def segments_of(path: ObjectPath) -> Segments | None:
     """The segments of a path; None where only its poses are known, its corners are rounded, or it does not end."""
     if not (np.isfinite(path.duration) and path.known_ahead):
         return None
-    numbers = path.packed()
+    numbers = None if isinstance(path, (TimedPath, Section)) else path.packed()
     if numbers is None:
         return _timed(path)
     breakpoints, count = int(numbers[1]), int(numbers[2])

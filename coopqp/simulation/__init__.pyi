@@ -21,6 +21,12 @@ from .evaluation.violations import (
 )
 from .evaluation.wrench_bounds import WrenchBounds as WrenchBounds
 from .evaluation.wrenches import RunLoads as RunLoads, read_loads as read_loads
+from .events import (
+    Event as Event,
+    differs_from as differs_from,
+    events_of as events_of,
+    operating as operating,
+)
 from .plants.disturbances import Disturbances as Disturbances, misplaced as misplaced
 from .plants.kinematic import DisturbedPlant as DisturbedPlant, KinematicPlant as KinematicPlant, Plant as Plant
 from .plants.physics import PhysicsError as PhysicsError, PhysicsPlant as PhysicsPlant

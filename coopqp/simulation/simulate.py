@@ -42,6 +42,7 @@ def simulate(
     patience: float | None = PATIENCE,
     progress: ProgressCallback | None = None,
     observe: Callable[[ControlStep], None] | None = None,
+    operate: Callable[[Any, int], None] | None = None,
     metadata: dict[str, Any] | None = None,
 ) -> Recording:
     """Run a controller on a plant until the object reaches the end of its path.
@@ -61,6 +62,8 @@ def simulate(
             None for never. A pause does not count.
         progress: called as ``progress(steps done, steps of an unslowed run)``.
         observe: called with every :class:`ControlStep`.
+        operate: called ahead of every step as ``operate(controller, steps done)``, for an operator's calls; those of
+            :class:`coopqp.QPController` are recorded, see :mod:`coopqp.simulation.events`.
         metadata: entries stored in the recording; must be JSON.
 
     Raises:
@@ -97,10 +100,12 @@ def simulate(
     measure = getattr(plant, "measure", None)
     readings = [measured] if measure is None else [measured, *(measure() for _ in range(_REST_SAMPLES - 1))]
     controller.reset(cell.average(readings))  # noise averages out
-    recorder = _Recorder(controller, measured, plant if loads else None)
+    recorder = _Recorder(controller, measured, plant if loads else None, ends=(after, longest))
     nominal = max(1, round((longest if endless else controller.path.duration + after) / controller.dt))
     elapsed, rest, still = 0.0, 0.0, 0.0
     while elapsed < longest - 1e-9 * longest:
+        if operate is not None:
+            operate(controller, recorder.steps)
         step = ask(measured)
         measured = plant.apply(step)
         elapsed += step.dt
@@ -151,8 +156,11 @@ def _stands(step: ControlStep) -> bool:
 class _Recorder:
     """Gathers the steps of a run."""
 
-    def __init__(self, controller: Controller, measured: Array, loaded: Any = None) -> None:
+    def __init__(
+        self, controller: Controller, measured: Array, loaded: Any = None, *, ends: tuple[float, float]
+    ) -> None:
         cell = controller.cell
+        self._ends = ends
         self._controller: Any = controller
         self._loaded = loaded
         self._rows = {"time": Rows(), "clock": Rows(), "rate": Rows(), "status": Rows(), "reference": Rows(4, 4)}
@@ -167,6 +175,9 @@ class _Recorder:
         self._binding: list[list[Any]] = []
         self._last: tuple[BindingLimit, ...] = ()
         self._append(time=0.0, q=measured)
+        self._take_events: Callable[[], list[tuple[str, Any, float]]] = getattr(controller, "take_events", list)
+        self._calls: list[list[Any]] = []
+        self._begun = {name: getattr(controller, name, usual) for name, usual in (("override", 1.0), ("paused", False))}
 
     def take(self, step: ControlStep, measured: Array) -> None:
         """One more step, and the configuration measured after it."""
@@ -174,6 +185,7 @@ class _Recorder:
             self._sample(step.q, step.clock)
         self._sample(step.q_next, step.clock_next)
         self._now += step.dt
+        self._calls += [[self.steps, *event] for event in self._take_events()]
         self._append(time=self._now, q=measured)
         self._append(velocity=step.velocity, rate=step.rate, status=float(step.status.code))
         self._notes.take(step)
@@ -194,7 +206,9 @@ class _Recorder:
             self._rows[name].append(row)
 
     def _sample(self, q_command: Array, clock: float) -> None:
-        self._append(q_command=q_command, clock=clock, reference=self._controller.path.pose(clock).homogeneous)
+        asked = getattr(self._controller, "asked_pose", None)  # by hand, elsewhere than on the path
+        pose = asked or self._controller.path.pose(clock)
+        self._append(q_command=q_command, clock=clock, reference=pose.homogeneous)
 
     def recording(self, metadata: dict[str, Any]) -> Recording:
         """The run so far.
@@ -218,6 +232,10 @@ class _Recorder:
                 "scene": describe_cell(cell),
                 "path": describe_path(controller.path),
                 "binding": self._binding,
+                "begun": self._begun,
+                "settle": self._ends[0],
+                "longest": self._ends[1],
+                "calls": self._calls,
                 "finished": self._finished,
                 "failures": self._failures,
                 **metadata,

@@ -82,7 +82,7 @@ def _step(step: ControlStep) -> str:
     for name, own in zip(cell.arm_names, cell.v_slices, strict=True):
         j = own.start + int(share[own].argmax())
         rows.append((name, f"{100.0 * share[j]:.2f} %", cell.joint_names[j].split("/", 1)[1]))
-    good = step.status in (Status.TRACKING, Status.SLOWED, Status.PAUSED)
+    good = step.status not in (Status.BLOCKED, Status.OFF_PATH, Status.HOLDING, Status.FAULT)
     head = (
         f'<b style="color: {_GOOD if good else _BAD}">{_text(step.status.value)}</b>, '
         f"σ = {100.0 * step.rate:.3g} %, clock {step.clock:.4g} → {step.clock_next:.4g} s<br>{_text(step.explain())}"

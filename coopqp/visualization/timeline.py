@@ -27,6 +27,8 @@ _ERRORS = (
 #: Colours behind the steps of each status.
 BANDS = {
     Status.PAUSED: "#dbe4f3",
+    Status.WAITING: "#e3ecd8",
+    Status.JOGGING: "#d3ecec",
     Status.BLOCKED: "#f7dcc4",
     Status.OFF_PATH: "#e9d3f0",
     Status.HOLDING: "#f4c2c2",

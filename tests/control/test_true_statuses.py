@@ -40,11 +40,12 @@ def away(path: ObjectPath, distance: float) -> LinePath:
 
 
 def test_statuses_keep_their_numbers_and_have_an_order() -> None:
-    names = ["TRACKING", "SLOWED", "BLOCKED", "HOLDING", "FAULT", "PAUSED", "OFF_PATH"]
+    names = ["TRACKING", "SLOWED", "BLOCKED", "HOLDING", "FAULT", "PAUSED", "OFF_PATH", "JOGGING", "WAITING"]
     assert [status.name for status in Status] == names
-    assert [status.code for status in Status] == list(range(7))
+    assert [status.code for status in Status] == list(range(9))
     first = sorted(Status, key=lambda status: -status.precedence)
-    assert [s.name for s in first] == ["FAULT", "HOLDING", "OFF_PATH", "PAUSED", "BLOCKED", "SLOWED", "TRACKING"]
+    moving = ["OFF_PATH", "JOGGING", "WAITING", "PAUSED", "BLOCKED", "SLOWED", "TRACKING"]
+    assert [s.name for s in first] == ["FAULT", "HOLDING", *moving]
 
 
 @pytest.mark.core

@@ -15,12 +15,14 @@ from marks import slow_but_first
 
 from coopqp import (
     Cause,
+    ControlStep,
     ForceController,
     ForceOptions,
     Grasp,
     HoldPath,
     InvalidInputError,
     QPController,
+    QPOptions,
     RobotCell,
     Status,
     WaypointPath,
@@ -810,3 +812,48 @@ def test_the_object_stays_where_it_is_until_the_arms_have_relaxed(kernel: str, t
     for _ in range(20):
         step = made.step(q, wrenches=np.zeros((3, 6)))
     np.testing.assert_allclose(step.q_next, q, atol=1e-9)
+
+
+# -- an operator ---------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("kernel", slow_but_first(available_kernels()))
+def test_back_by_hand_and_on_while_forces_are_relaxed(task: Scenario, kernel: str) -> None:
+    """The operator's calls are those of the controller within; the arms go on to relax."""
+    cell = task.cell.with_limits(acceleration=5.0)
+    world = Elastic(cell, misplaced(cell, task.grasp, {"slave_2": OFF}), late=1)
+    controller = QPController(cell, task.grasp, task.path, dt=task.dt, options=QPOptions(kernel=kernel))
+    made = ForceController(controller, {"stiffness": STIFF, "check_time": 0.0, "presses": False})
+    made.reset(task.q_start)
+    commanded, seen = task.q_start, []
+
+    def until(done: Callable[[ControlStep], bool]) -> ControlStep:
+        nonlocal commanded
+        for _ in range(4000):
+            measured, wrenches = world.answer(commanded)
+            step = made.step(measured, wrenches=wrenches)
+            commanded = step.q_next
+            seen.append(step.status)
+            if done(step):
+                return step
+        raise AssertionError(step)
+
+    until(lambda step: step.clock > 0.5)
+    made.reverse(0.1)
+    until(lambda step: step.status is Status.PAUSED and step.clock == 0.1)
+    made.forward()
+    until(lambda step: step.clock > 0.4)
+    made.jog([0.0, 0.0, 0.05, 0.0, 0.0, 0.0], deadman_s=0.5)
+    until(lambda step: step.status is Status.JOGGING and step.rate > 0.5)
+    until(lambda step: step.status is Status.JOGGING and not step.rate > 0.0)
+    made.return_to_path()
+    until(lambda step: step.sense == 1)
+    belt = made.controller.program_clock
+    for i in range(200):
+        made.gear(belt + 0.3 * i * task.dt, speed=0.3)
+        until(lambda step: True)
+    made.set_override(1.0)
+    until(lambda step: step.finished)
+    assert Status.HOLDING not in seen
+    forces = np.linalg.norm(world.past[-1][:, :3], axis=1).max()
+    assert forces < 0.3 * np.linalg.norm(world.past[0][:, :3], axis=1).max()

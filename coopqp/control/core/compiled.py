@@ -20,6 +20,7 @@ from coopqp.constraints.velocity import ConstraintTrouble, Rows, no_rows
 from coopqp.control.core.memory import NotForTheCore, build_memory, put_options, same_kinematics
 from coopqp.control.interface import ControlStep, SolverReport, Status, amend
 from coopqp.control.monitoring.supervision import as_configuration
+from coopqp.control.operator.way import Way
 from coopqp.control.options import QPOptions
 from coopqp.control.step.constraint_set import Constraints
 from coopqp.control.step.decoding import STATUSES, RecordReader
@@ -122,19 +123,19 @@ class CompiledLoop:
 
     # -- starting --------------------------------------------------------------------------------------------------
 
-    def follow(self, path: ObjectPath) -> None:
-        """Take a path; it begins with :meth:`start_path`."""
+    def follow(self, path: ObjectPath, way: Way | None = None) -> None:
+        """Take a path, as a way along a program; it begins with :meth:`start_path`."""
         self.path = path
         self._guarded = GuardedPath(path)
         put_options(self._memory, self._chain, self._box, self.options.on(self._guarded.planned_share), self.dt)
         elbows = self._guarded.elbows
         self._memory.options.elbows = 0 if elbows is None else len(elbows.clocks)
         self._reader = RecordReader(
-            self.cell, self.grasp, path, solver=self.solver.name, constraints=self.constraints,
+            self.cell, self.grasp, way or Way.of(path), solver=self.solver.name, constraints=self.constraints,
             dt=self.dt, supervision=self.options.supervision,
         )  # fmt: skip
         evades = None if self._guarded.keeps_clear else self._evades
-        self._core.bind(step_type=ControlStep, context=self._reader, status_names=STATUSES, evade=evades)
+        self._core.bind(step_type=ControlStep, context=self._reader, status_names=self._reader.statuses, evade=evades)
         self.take_path()
 
     def take_path(self) -> None:
@@ -252,6 +253,11 @@ class CompiledLoop:
         """σ of the last step."""
         rate: float = self._loop.rate
         return rate
+
+    @property
+    def status(self) -> Status:
+        """Status of the last step."""
+        return STATUSES[int(self._loop.said)]
 
     @property
     def q(self) -> Array:

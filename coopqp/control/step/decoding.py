@@ -12,6 +12,7 @@ from coopqp.control.monitoring.commanded import PARTED
 from coopqp.control.monitoring.lag import OFF_LAG
 from coopqp.control.monitoring.options import SupervisionOptions
 from coopqp.control.monitoring.supervision import refused_dt
+from coopqp.control.operator.way import Way
 from coopqp.control.step.constraint_set import Constraints
 from coopqp.control.step.verdict import cause_of, too_close
 from coopqp.model.cell import RobotCell
@@ -20,7 +21,6 @@ from coopqp.model.limits import BindingLimit, LimitKind
 from coopqp.model.shapes import NearPair
 from coopqp.native import layout
 from coopqp.paths.guarded import jump
-from coopqp.paths.path import ObjectPath
 from coopqp.spatial import Array
 
 _KINDS = {code: LimitKind[name] for code, name in enumerate(layout.KINDS) if name != "NONE"}
@@ -43,7 +43,8 @@ class RecordReader:
     """Puts the numbers of the records of one controller on one path into words, for its steps.
 
     Args:
-        cell, grasp, path: of the controller.
+        cell, grasp: of the controller.
+        way: what it follows.
         solver: name of the solver that a QP step used.
         constraints: the further constraints.
         dt: nominal length of a step [s].
@@ -58,14 +59,16 @@ class RecordReader:
         self,
         cell: RobotCell,
         grasp: Grasp,
-        path: ObjectPath,
+        way: Way,
         *,
         solver: str,
         constraints: Constraints,
         dt: float,
         supervision: SupervisionOptions,
     ) -> None:
-        self.cell, self.grasp, self.path = cell, grasp, path
+        self.cell, self.grasp, self.way, self.path = cell, grasp, way, way.program
+        #: Statuses of steps, in the order of the core's codes.
+        self.statuses = tuple(way.status(status) for status in STATUSES)
         self._solver, self._constraints = solver, constraints
         self._force_limit, self._dt_range = supervision.force_limit, [share * dt for share in supervision.dt_range]
         self._q = layout.SIZES["Record"]
@@ -84,6 +87,8 @@ class RecordReader:
             return getattr(self, name)
         if name == "build_time_s":
             return 0.0
+        if name == "sense":
+            return self.way.sense
         return getattr(self, f"_read_{name}")(layout.Record.from_buffer_copy(record), np.frombuffer(record))
 
     def _read_reason(self, s: Any, r: Array) -> str:
@@ -108,7 +113,8 @@ class RecordReader:
     def _read_cause(self, s: Any, r: Array) -> Cause | None:
         status, code = STATUSES[int(s.status)], int(s.reason)
         watched = CAUSES[code] if code else None
-        return cause_of(status, watched, self._read_binding(s, r), measured=s.measured != 0.0)
+        binding = self._read_binding(s, r)
+        return self.way.cause(status, cause_of(status, watched, binding, measured=s.measured != 0.0), binding)
 
     def _read_binding(self, s: Any, r: Array) -> tuple[BindingLimit, ...]:
         begin = self._off_path + 6

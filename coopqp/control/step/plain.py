@@ -26,6 +26,7 @@ from coopqp.control.monitoring.commanded import PARTED, ChainWatch, among_arms, 
 from coopqp.control.monitoring.servos import ServoWatch
 from coopqp.control.monitoring.supervision import Supervision
 from coopqp.control.monitoring.watch import Watch
+from coopqp.control.operator.way import Way
 from coopqp.control.options import QPOptions
 from coopqp.control.step.braking_rows import BrakingRows
 from coopqp.control.step.constraint_set import Constraints
@@ -87,9 +88,9 @@ class PlainLoop:
 
     # -- starting --------------------------------------------------------------------------------------------------
 
-    def follow(self, path: ObjectPath) -> None:
-        """Take a path; it begins with :meth:`start_path`."""
-        self.path, self._guarded = path, GuardedPath(path)
+    def follow(self, path: ObjectPath, way: Way | None = None) -> None:
+        """Take a path, as a way along a program; it begins with :meth:`start_path`."""
+        self.path, self._guarded, self._way = path, GuardedPath(path), way or Way.of(path)
         self._on_path = self.options.on(self._guarded.planned_share)
         self._posture.take(self._on_path.posture)
         self._preview = None
@@ -200,6 +201,11 @@ class PlainLoop:
     def rate(self) -> float:
         """σ of the last step."""
         return self.state.rate
+
+    @property
+    def status(self) -> Status:
+        """Status of the last step."""
+        return self.state.status
 
     @property
     def q(self) -> Array:
@@ -406,17 +412,18 @@ class PlainLoop:
         step = ControlStep(
             cell=self.cell,
             grasp=self.grasp,
-            path=self.path,
+            path=self._way.program,
             q=s.q,
             velocity=v,
             q_next=q_next,
             dt=h,
-            clock=s.clock,
-            clock_next=clock_next,
+            clock=self._way.clock_of(s.clock),
+            clock_next=self._way.clock_of(clock_next),
+            sense=self._way.sense,
             rate=share,
-            status=status,
+            status=self._way.status(status),
             reason=reason,
-            cause=cause,
+            cause=self._way.cause(status, cause, binding),
             binding=binding,
             given_up=given_up(linearised, share, self._restricted),
             solver=answer.report,

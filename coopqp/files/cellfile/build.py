@@ -45,6 +45,7 @@ from coopqp.planning.self_motion import led_path
 from coopqp.planning.starts import find_start
 from coopqp.simulation.evaluation.assessment import Tolerances
 from coopqp.simulation.evaluation.closeness import default_scene, with_clearance
+from coopqp.simulation.events import Operate
 from coopqp.simulation.plants.disturbances import Disturbances
 from coopqp.simulation.plants.kinematic import DisturbedPlant, KinematicPlant, Plant
 from coopqp.simulation.plants.physics import PhysicsPlant
@@ -189,8 +190,8 @@ class CellRun:
         """What the file says of the wrist sensors, by arm; for :class:`coopqp.ForceOptions`."""
         return known_sensors(self.settings)
 
-    def run(self, *, progress: ProgressCallback | None = None) -> Recording:
-        """Run the controller on the plant.
+    def run(self, *, progress: ProgressCallback | None = None, operate: Operate | None = None) -> Recording:
+        """Run the controller on the plant; ``operate`` as in :func:`coopqp.simulate`.
 
         Raises:
             CellFileError: the controller refuses the start.
@@ -211,6 +212,7 @@ class CellRun:
                 settle=self.settle,
                 patience=self.settings.patience_s,
                 progress=progress,
+                operate=operate,
                 metadata=metadata,
             )
             return with_clearance(recording, self.scene, avoided=self.avoids)

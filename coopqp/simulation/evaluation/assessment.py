@@ -139,7 +139,8 @@ def _finished(recording: Recording) -> Finding:
         text = f"the object's clock stands at {recording.clock[-1]:.4g} s after {took}"
     if stopped:
         text += f", {stopped} steps stopped by a failure"
-    text += _counted(recording, Status.PAUSED, "paused") + _counted(recording, Status.OFF_PATH, "off the path")
+    text += _counted(recording, Status.PAUSED, "paused") + _counted(recording, Status.JOGGING, "led by hand")
+    text += _counted(recording, Status.WAITING, "waiting") + _counted(recording, Status.OFF_PATH, "off the path")
     arrived = recording.finished or endless
     cause = "" if arrived and not stopped else _why_not(recording, arrived=arrived)
     return Finding(question, arrived and not stopped, text, cause)

@@ -29,6 +29,7 @@ class Block:
     clock: Array  # (T,)
     clock_next: Array  # (T,)
     rate: Array  # (T,)
+    sense: Array  # (T,): 1 along the path, −1 back, 0 away from it, by hand
     holding: Flags  # (T,)
     same_path: Flags  # (T,): the clock continues from the step before
     reference: Array  # (T, 4, 4): pose of the path at clock_next
@@ -57,12 +58,20 @@ def recorded_block(r: Recording, start: int, end: int, *, goes_on: bool) -> Bloc
         clock=r.clock[cut],
         clock_next=r.clock[ends],
         rate=r.rate[cut],
+        sense=_sense(r, cut, ends),
         holding=np.isin(r.status[cut], (Status.HOLDING.code, Status.FAULT.code)),
         same_path=same_path,
         reference=r.reference[ends],
         duration=np.full(end - start, float(r.metadata.get("duration") or np.inf)),
         shift=None if r.shift is None else r.shift[cut],
     )
+
+
+def _sense(r: Recording, cut: slice, ends: slice) -> Array:
+    """1 along the path, −1 where the clock falls, 0 by hand."""
+    senses: Array = np.where(r.clock[ends] < r.clock[cut], -1.0, 1.0)
+    senses[r.status[cut] == Status.JOGGING.code] = 0.0
+    return senses
 
 
 def faults_of(step: ControlStep, cell: RobotCell, number: int, now: float) -> list[Violation]:
@@ -82,6 +91,8 @@ def faults_of(step: ControlStep, cell: RobotCell, number: int, now: float) -> li
             faults.append(Violation(ViolationKind.FORM, number, now, detail=f"{name} is no float"))
         elif not math.isfinite(value):
             faults.append(Violation(ViolationKind.NOT_FINITE, number, now, amount=np.nan, detail=name))
+    if step.sense not in (-1, 0, 1):
+        faults.append(Violation(ViolationKind.FORM, number, now, detail="sense is not -1, 0 or 1"))
     if not isinstance(step.status, Status) or not isinstance(step.reason, str):
         faults.append(Violation(ViolationKind.FORM, number, now, detail="status or reason"))
     return faults

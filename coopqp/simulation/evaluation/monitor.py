@@ -23,6 +23,7 @@ from coopqp.control.interface import ControlStep, Status
 from coopqp.errors import InvalidInputError
 from coopqp.model.cell import RobotCell
 from coopqp.model.grasp import Grasp
+from coopqp.model.state import CellState
 from coopqp.paths.path import ObjectPath
 from coopqp.simulation.evaluation.assessment import Tolerances
 from coopqp.simulation.evaluation.blocks import Block, faults_of, recorded_block, sound_steps
@@ -196,17 +197,26 @@ class Monitor:
         before, self._last_path = [self._last_path, *paths[:-1]], paths[-1]
         numbers = {
             name: np.array([getattr(step, name) for step in steps])
-            for name in ("q", "q_next", "velocity", "dt", "clock", "clock_next", "rate")
+            for name in ("q", "q_next", "velocity", "dt", "clock", "clock_next", "rate", "sense")
         }
-        ends = zip(paths, numbers["clock_next"].tolist(), strict=True)
+        clocks = numbers["clock_next"].tolist()
         return Block(
             **numbers,
             holding=np.array([step.status in (Status.HOLDING, Status.FAULT) for step in steps]),
             same_path=np.array([a is b for a, b in zip(before, paths, strict=True)]),
-            reference=np.array([p.pose(clock).homogeneous for p, clock in ends] if self._kinematics else []),
+            reference=np.array(self._references(paths, clocks, steps) if self._kinematics else []),
             duration=np.array([path.duration for path in paths]),
             shift=None if shifts is None else np.array(shifts),
         )
+
+    def _references(
+        self, paths: Sequence[ObjectPath], clocks: Sequence[float], steps: Sequence[ControlStep]
+    ) -> list[Array]:
+        """Where paths ask for the object (4, 4); by hand no path does, and it is where the first arm holds it."""
+        return [
+            (path.pose(clock) if step.sense else self.grasp.carried(CellState(self.cell, step.q_next))[0]).homogeneous
+            for path, clock, step in zip(paths, clocks, steps, strict=True)
+        ]
 
     def check_recorded(self, recording: Recording) -> Verdict:
         """Check a run; see :func:`check_run`."""
@@ -312,10 +322,12 @@ class Monitor:
         rate, advance = block.rate, block.clock_next - block.clock
         self._all(ViolationKind.RATE, np.maximum(-rate, rate - 1.0) - SAME, ends, "σ in [0, 1]")
         self._all(ViolationKind.RATE, np.where(block.dt > 0.0, -1.0, 1.0), ends, "dt > 0")
-        self._all(ViolationKind.CLOCK, -advance - SAME, ends, "runs backwards")
+        # On the way back the clock falls; by hand it stands.
+        self._all(ViolationKind.CLOCK, -block.sense * advance - SAME, ends, "runs backwards")
         # The last step may advance the clock by less than σ dt.
         ended = block.clock_next >= block.duration
-        miss = np.where(ended, advance - rate * block.dt, np.abs(advance - rate * block.dt))
+        miss = block.sense * advance - np.abs(block.sense) * rate * block.dt
+        miss = np.where(ended, miss, np.abs(np.where(block.sense == 0.0, advance, miss)))
         self._all(ViolationKind.CLOCK, miss - SAME * (1.0 + block.clock_next), ends, "does not advance by σ dt")
         before = np.concatenate([[self._last_clock], block.clock_next[:-1]])
         self._all(

@@ -1,0 +1,1 @@
+"""The operator's hand: reverse, step, jog, return, shift, gear."""

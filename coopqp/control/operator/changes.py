@@ -1,0 +1,191 @@
+"""Changes of an object's motion that an operator asks for: each waits until it is admissible, and the last one wins."""
+
+from __future__ import annotations
+
+import abc
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, final
+
+import numpy as np
+import pinocchio as pin
+
+from coopqp.control.operator.hands import HAND_SILENCE
+from coopqp.control.operator.way import Way
+from coopqp.native.constants import SAME_CLOCK
+from coopqp.paths.section import Section
+from coopqp.paths.servo import ServoPath
+from coopqp.paths.shifted import ShiftedPath, clock_after
+from coopqp.spatial import Array
+
+if TYPE_CHECKING:
+    from coopqp.control.operator.operator import Operator
+
+#: A jog command leads so far ahead [s]; it is renewed or ends long before.
+JOG_AHEAD = 0.5
+#: Speed and spin on the way back to the path [m/s, rad/s].
+RETURN_SPEED, RETURN_SPIN = 0.25, 0.5
+#: Speed and spin of a target that streams [m/s, rad/s].
+TARGET_SPEED, TARGET_SPIN = 0.4, 1.0
+
+
+class Change(abc.ABC):
+    """A change of the motion. :meth:`attempt` is called in each step until it says that it is made."""
+
+    #: What the object waits for, as the end of a sentence.
+    waits = ""
+    #: Whether the object is led by hand for it.
+    by_hand = False
+    #: How long the command holds without another one [s].
+    holds_for = np.inf
+
+    @abc.abstractmethod
+    def attempt(self, operator: Operator) -> bool:
+        """Make the change if it is admissible now."""
+
+
+@final
+@dataclass(frozen=True, eq=False)
+class Target(Change):
+    """Another target of a program that is a :class:`coopqp.ServoPath`."""
+
+    goal: pin.SE3
+    waits = "the object brakes before it goes over to its new target"
+
+    def attempt(self, operator: Operator) -> bool:
+        """See :class:`Change`."""
+        path = operator.way.path
+        assert isinstance(path, ServoPath)
+        return operator.go_over(path, self.goal)
+
+
+@final
+@dataclass(frozen=True, eq=False)
+class Travel(Change):
+    """To a clock of the program, in either direction, and rest there; ``to`` None: on to the end of the program."""
+
+    to: float | None
+    waits = "the object brakes before it goes the other way"
+
+    def attempt(self, operator: Operator) -> bool:
+        """See :class:`Change`."""
+        way, clock, rests = operator.way, operator.clock, operator.rests
+        program = way.program
+        if self.to is None:
+            if way.whole:
+                return True
+            ahead = Way.of(program)
+            return operator.take(ahead, clock) if rests or way.sense > 0 else False
+        if abs(self.to - clock) <= SAME_CLOCK:
+            if rests:
+                operator.rest_at(clock)
+            return rests
+        sense = 1 if self.to > clock else -1
+        if not rests and sense != way.sense:
+            return False
+        elbows = operator.trail.back(clock) if sense < 0 and operator.trail is not None else None
+        section = Section(program, clock, self.to, elbows=elbows, keeps_clear=True if elbows is not None else None)
+        return operator.take(Way.along(section), 0.0)
+
+
+@final
+@dataclass(frozen=True, eq=False)
+class Shift(Change):
+    """The program from here on goes over to a shifted one, over a length of path [m]."""
+
+    shift: pin.SE3
+    over: float
+    waits = "the object brakes before its path is shifted"
+
+    def attempt(self, operator: Operator) -> bool:
+        """See :class:`Change`."""
+        way, clock = operator.way, operator.clock
+        program = way.program
+        end = clock_after(program, clock, self.over)
+        if not end > clock:  # nothing is ahead
+            return True
+        shifted = ShiftedPath(program, self.shift, begin=clock, end=end)
+        if way.sense < 0:  # what lies behind stays
+            section = way.path
+            assert isinstance(section, Section)
+            return operator.take(replace(way, program=shifted), operator.loop_clock, same=True)
+        if way.whole:
+            return operator.take(Way.of(shifted), clock)
+        assert isinstance(way.path, Section)
+        return operator.take(Way.along(Section(shifted, clock, way.path.end)), 0.0)
+
+
+@final
+@dataclass(frozen=True, eq=False)
+class Jog(Change):
+    """Move the object with a twist (6,) [m/s, rad/s] about its origin, in the axes of a frame; zeros: stop.
+
+    Attributes:
+        twist: as given.
+        arm: number of the arm in whose tool's axes it is; −1 in the world's, −2 in the object's.
+        holds_for: how long it holds [s].
+    """
+
+    twist: Array
+    arm: int = -1
+    holds_for: float = 0.1
+    waits = "the object comes to rest before the operator leads it"
+    by_hand = True
+
+    def attempt(self, operator: Operator) -> bool:
+        """See :class:`Change`."""
+        if not operator.lead():
+            return False
+        if operator.expired:
+            return True
+        path = operator.way.path
+        assert isinstance(path, ServoPath)
+        here = path.pose(operator.loop_clock)
+        R = np.eye(3) if self.arm == -1 else here.rotation
+        if self.arm >= 0:
+            R = R @ operator.grasp.T_object_tool[self.arm].rotation
+        v, w = R @ self.twist[:3], R @ self.twist[3:]
+        path.speed, path.spin = (float(np.linalg.norm(x)) or 1.0 for x in (v, w))
+        goal = pin.SE3(pin.exp3(JOG_AHEAD * w) @ here.rotation, here.translation + JOG_AHEAD * v)
+        return operator.go_over(path, goal)
+
+
+@final
+@dataclass(frozen=True, eq=False)
+class Follow(Change):
+    """Go where the hand leads that is engaged."""
+
+    holds_for = HAND_SILENCE
+    waits = "the object comes to rest before the operator leads it"
+    by_hand = True
+
+    def attempt(self, operator: Operator) -> bool:
+        """See :class:`Change`."""
+        if not operator.lead():
+            return False
+        clutch, path = operator.clutch, operator.way.path
+        if operator.expired or clutch is None:
+            return True
+        assert isinstance(path, ServoPath)
+        operator.clutch, goal = clutch.goal(path.pose(operator.loop_clock))
+        path.speed, path.spin = TARGET_SPEED, TARGET_SPIN
+        return operator.go_over(path, goal)
+
+
+@final
+@dataclass(frozen=True, eq=False)
+class Return(Change):
+    """Back to the program on a straight way; then it goes on where it was."""
+
+    waits = "the object brakes before it goes back to its path"
+    by_hand = True
+
+    def attempt(self, operator: Operator) -> bool:
+        """See :class:`Change`."""
+        way = operator.way
+        if way.sense != 0:
+            return True
+        path = way.path
+        assert isinstance(path, ServoPath)
+        path.speed, path.spin = RETURN_SPEED, RETURN_SPIN
+        operator.returns = operator.go_over(path, way.program.pose(way.origin))
+        return operator.returns

@@ -1,0 +1,413 @@
+"""The operator of a controller: which way along the program the object goes, and what it waits for."""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from collections.abc import Mapping
+from typing import Any, final
+
+import numpy as np
+import pinocchio as pin
+
+from coopqp.constraints.cause import Cause
+from coopqp.control.interface import ControlStep, Status, amend
+from coopqp.control.lookahead.ramp_time import RampTime
+from coopqp.control.operator.changes import Change, Follow, Target, Travel
+from coopqp.control.operator.hands import Clutch, Gear
+from coopqp.control.operator.trail import Trail
+from coopqp.control.operator.way import Way
+from coopqp.control.options import QPOptions
+from coopqp.control.retargeting import object_rests, retarget_motion
+from coopqp.model.cell import RobotCell
+from coopqp.model.chain import Chain
+from coopqp.model.grasp import Grasp
+from coopqp.model.limits import LimitKind
+from coopqp.native.constants import RATE_ROUNDING, RATE_TOLERANCE, STILL_OBJECT
+from coopqp.paths.guarded import GuardedPath
+from coopqp.paths.path import ObjectPath
+from coopqp.paths.servo import ServoPath
+
+#: Calls that are remembered until they are read.
+_MOST_EVENTS = 10_000
+#: Steps between two looks at most.
+_MOST_BETWEEN = 1000
+#: Attributes that calls and steps change, beside the trail.
+_VARYING = (
+    "way", "wanted", "then", "_override", "paused", "age", "holds_for", "returns", "gear", "clutch", "_left", "_brakes",
+    "looks_in", "_looked",
+)  # fmt: skip
+_STOPPED = (Status.HOLDING, Status.FAULT)
+
+
+@final
+class Operator:
+    """Holds what an operator has asked for, and makes each change as soon as it is admissible.
+
+    Args:
+        cell, grasp: the arms, and how they hold the object.
+        loop: the plain or the compiled one; it follows :attr:`way`.
+        program: the object's path.
+        dt: nominal length of a step [s].
+        options: of the controller.
+
+    Attributes:
+        way: what the loop follows.
+        wanted: the change that waits; None without one. The object brakes until it is made.
+        then: what follows once the object is back on its path.
+        override, paused: as asked for along the program.
+        age, holds_for: time since the last command by hand, and how long that one holds [s].
+        returns: the object is on its way back to the program.
+        gear: the belt that the program's clock follows; None without one.
+        clutch: the hand that leads the object; None if none is engaged.
+        trail: what redundant arms travelled; None if there are none.
+    """
+
+    def __init__(
+        self, cell: RobotCell, grasp: Grasp, loop: Any, program: ObjectPath, *, dt: float, options: QPOptions
+    ) -> None:
+        self._cell, self.grasp, self._loop, self._dt = cell, grasp, loop, dt
+        self._ramp_time = RampTime(cell, grasp, options.preview, dt=dt)
+        self._accelerates = bool(np.isfinite(cell.limits.acceleration).any())
+        self.way = Way.of(program)
+        self.wanted: Change | None = None
+        self.then: Change | None = None
+        self._override, self.paused = 1.0, False
+        self.age, self.holds_for = math.inf, 0.0
+        self.returns = False
+        self.gear: Gear | None = None
+        self.clutch: Clutch | None = None
+        self._left: tuple[Way, float] | None = None
+        self._brakes = False
+        #: Steps until the next look is due, and between the last one and that.
+        self.looks_in = self._looked = 1
+        self._longest_dt = dt * options.supervision.dt_range[1]
+        redundant = Chain(cell, grasp).redundancy > 0
+        self.trail: Trail | None = Trail(cell, dt=dt) if redundant else None
+        self._events: deque[tuple[str, Any, float]] = deque(maxlen=_MOST_EVENTS)
+
+    # -- where the object is ---------------------------------------------------------------------------------------
+
+    @property
+    def loop_clock(self) -> float:
+        """The clock of what is followed [s]."""
+        clock: float = self._loop.clock
+        return clock
+
+    @property
+    def clock(self) -> float:
+        """The program's clock [s]."""
+        clock = self.way.clock_of(self.loop_clock)
+        path = self.way.path
+        if self.way.sense != 0 and not self.way.whole and self.loop_clock >= path.duration:
+            clock = path.end  # type: ignore[attr-defined]
+        return clock
+
+    @property
+    def rests(self) -> bool:
+        """Whether the object rests, and its joints may."""
+        loop = self._loop
+        twist = GuardedPath(self.way.path).twist(loop.clock) if loop.rate > 0.0 else None
+        moves = twist is not None and np.abs(loop.rate * twist).max() > STILL_OBJECT
+        return not moves and self._ramp_time.admits(loop.velocity)
+
+    @property
+    def expired(self) -> bool:
+        """Whether no command by hand holds."""
+        return not self.age < self.holds_for
+
+    @property
+    def quiet(self) -> bool:
+        """Whether steps need nothing from here, or only :meth:`passed`."""
+        return self.wanted is None and self.way.sense != 0 and self.gear is None
+
+    @property
+    def glances(self) -> bool:
+        """Whether each step has to be looked at for a moment."""
+        return self.trail is not None or not self.way.whole
+
+    @property
+    def override(self) -> float:
+        """The largest rate σ that is asked for; forces may lower it in the loop."""
+        return self._override if self._brakes else float(self._loop.reins[0])
+
+    @override.setter
+    def override(self, share: float) -> None:
+        self._override = share
+        self._loop.set_reins(0.0 if self._brakes else share, paused=self._loop.reins[1])
+
+    # -- what is asked for -----------------------------------------------------------------------------------------
+
+    def restart(self, program: ObjectPath) -> None:
+        """Follow the whole program; forget all changes."""
+        self.way, self.wanted, self.then, self.returns, self._left = Way.of(program), None, None, False, None
+        self.gear = self.clutch = None
+        self.age = math.inf
+        self.looks_in = self._looked = 1
+        self._let_go()
+
+    def begin_trail(self) -> None:
+        """The run begins here."""
+        if self.trail is not None:
+            self.trail.begin(self.clock, self._loop.q)
+
+    def ask(self, change: Change) -> None:
+        """Make a change now, or as soon as it is admissible; it takes the place of one that waits."""
+        self.returns = False
+        if not isinstance(change, Follow):
+            self.clutch = None
+        if change.by_hand:
+            self.age, self.holds_for = 0.0, change.holds_for
+        else:
+            if isinstance(change, Travel):
+                self.paused = False
+            if self.way.sense == 0:  # first the way back
+                self.then, self.wanted, self.age = change, None, math.inf
+                self._let_go()
+                return
+        self.wanted = change
+        self.attempt()
+
+    def attempt(self) -> None:
+        """Make the change that waits, if it is admissible now; else brake for it."""
+        wanted = self.wanted
+        assert wanted is not None
+        self._let_go()
+        if not isinstance(wanted, Target) and self._loop.status in _STOPPED:
+            return
+        if wanted.attempt(self):
+            if self.wanted is wanted:
+                self.wanted = None
+            self.rein()
+        elif self._accelerates or not isinstance(wanted, Target) or object_rests(self._loop, self.way.path):
+            self._override, self._brakes = self.override, True
+            self.rein()
+
+    def _let_go(self) -> None:
+        """Brake no more."""
+        override, self._brakes = self.override, False
+        self.override = override
+        self.rein()
+
+    def rein(self) -> None:
+        """Tell the loop how fast it may go."""
+        paused = self.expired if self.way.sense == 0 else self.paused
+        self._loop.set_reins(0.0 if self._brakes else self.override, paused=paused)
+
+    def take_gear(self, position: float, speed: float) -> None:
+        """A measured position of the belt [s of the program], and its speed where it is the first one."""
+        self.gear = Gear(position, speed) if self.gear is None else self.gear.measured(position)
+
+    def geared(self) -> float | None:
+        """The path speed σ that the belt asks for; None without one, on the way back and by hand."""
+        return None if self.gear is None or self.way.sense <= 0 else self.gear.share(self.clock)
+
+    def engage(self, hand: pin.SE3) -> None:
+        """Let the object follow a hand from its present pose on."""
+        self.clutch = Clutch(hand)
+        self.ask(Follow())
+
+    def hand_at(self, hand: pin.SE3) -> None:
+        """Another pose of the hand; nothing if none is engaged any more."""
+        if self.clutch is not None:
+            self.clutch = self.clutch.measured(hand, self.age)
+            self.ask(Follow())
+
+    def release(self) -> None:
+        """Follow no hand any more."""
+        self.clutch = None
+        self.stop()
+
+    def pause(self, paused: bool) -> None:
+        """Rest on the program, or go on along it; a command by hand ends with a pause."""
+        self.paused = paused
+        if paused:
+            self.stop()
+        self.rein()
+
+    def stop(self) -> None:
+        """End a command by hand, or a way back: the object brakes."""
+        self.age, self.returns = math.inf, False
+        if self.wanted is not None and self.wanted.by_hand and self.way.sense == 0:
+            self.wanted = None
+            self._let_go()
+        self.rein()
+
+    # -- what changes do -------------------------------------------------------------------------------------------
+
+    def go_over(self, path: ServoPath, goal: pin.SE3) -> bool:
+        """Take the way to a target if that is admissible now."""
+        loop, full = self._loop, 0.0 if self._loop.reins[1] else self.override
+        taken = loop.retarget_motion(path, goal, full) if loop.kernel == "compiled" else None
+        return retarget_motion(loop, path, self._ramp_time, goal, full) if taken is None else bool(taken)
+
+    def take(self, way: Way, clock: float, *, same: bool = False) -> bool:
+        """Follow another way from a clock of it on, if the first step along it keeps the object's rate.
+
+        Args:
+            way: the way; it goes through the object's pose at ``clock`` with the object's present twist, or it rests.
+            clock: of the way's path [s].
+            same: only the program changes, not the path.
+        """
+        loop, old, rests = self._loop, self.way, self.rests
+        rate, memory = loop.rate, loop.memory()
+        if same:
+            loop.follow(way.path, way)
+            loop.restore(memory)
+            self.way = way
+            return True
+        if rests:
+            self._follow(way, clock, self._first_rate(way, clock))
+            return True
+        kept_so_far, _ = loop.try_step()
+        loop.restore(memory)
+        self._follow(way, clock, rate)
+        fresh = loop.memory()
+        kept, change = loop.try_step()
+        if kept >= kept_so_far - RATE_TOLERANCE and self._ramp_time.admits(change):
+            loop.restore(fresh)
+            return True
+        loop.follow(old.path, old)
+        loop.restore(memory)
+        self.way = old
+        self.looks_in = self._looked = 1
+        return False
+
+    def _first_rate(self, way: Way, clock: float) -> float:
+        """The rate that a path begins with from rest: full where the path itself begins at rest."""
+        twist = GuardedPath(way.path).twist(clock)
+        override, paused = self._loop.reins
+        return 0.0 if paused or twist is None or np.any(twist) else float(override)
+
+    def _follow(self, way: Way, clock: float, rate: float) -> None:
+        if way.sense > 0 and self.way.sense < 0 and self.trail is not None:
+            self.trail.cut(self.clock, self._loop.q)
+        self.way = way
+        self.looks_in = self._looked = 1
+        self._loop.follow(way.path, way)
+        self._loop.start_path(clock, rate)
+
+    def rest_at(self, clock: float) -> None:
+        """Rest on the program at a clock [s], paused."""
+        self.paused = True
+        self._loop.set_reins(self.override, paused=True)
+        self._follow(Way.of(self.way.program), clock, 0.0)
+
+    def lead(self) -> bool:
+        """Be led by hand: from rest."""
+        way = self.way
+        if way.sense == 0:
+            return True
+        if not self.rests:
+            return False
+        clock, at = self.clock, self.loop_clock
+        path = ServoPath(way.path.pose(at))
+        self._left = way, at
+        self._loop.set_reins(self.override, paused=True)
+        self._follow(Way(path, way.program, clock, 0), 0.0, 0.0)
+        self.rein()
+        return True
+
+    # -- steps -----------------------------------------------------------------------------------------------------
+
+    def before(self, dt: float) -> None:
+        """What comes ahead of a step of a length [s], where one is not quiet."""
+        way, loop = self.way, self._loop
+        if self.gear is not None:
+            self.gear = self.gear.later(dt)
+        if way.sense == 0 or (self.wanted is not None and self.wanted.by_hand):
+            was = self.expired
+            self.age += dt
+            if self.expired and not was:
+                self.rein()
+        if self.returns and self._back_on_path():
+            return
+        if way.sense != 0 and not way.whole and loop.clock >= way.path.duration and self.wanted is None:
+            self.rest_at(self.clock)
+        if self.wanted is not None:
+            self.attempt()
+
+    def _back_on_path(self) -> bool:
+        """Go on along the program where the object is back on it."""
+        path, left = self.way.path, self._left
+        assert isinstance(path, ServoPath)
+        assert left is not None
+        if path.next_breakpoint(self.loop_clock) < path.duration or not self.rests:
+            return False
+        self.returns, self._left = False, None
+        way, clock = left
+        then, self.then = self.then, None
+        self.way = way
+        self.looks_in = self._looked = 1
+        self.rein()
+        self._loop.follow(way.path, way)
+        self._loop.start_path(clock, 0.0)
+        if then is not None:
+            self.ask(then)
+        return True
+
+    def passed(self, step: ControlStep) -> bool:
+        """Count a step, and have a look where one is due; whether the end of a section is reached."""
+        self.looks_in -= 1
+        return self.looks_in <= 0 and self._look(step)
+
+    def _look(self, step: ControlStep) -> bool:
+        """Note the trail; whether the end of a section is reached. The next look is due before it can be."""
+        way, loop, trail = self.way, self._loop, self.trail
+        if trail is not None and way.sense > 0 and trail.due(self._looked):
+            trail.note(self.clock, loop.q, loop.velocity, loop.rate)
+        left = math.inf if way.whole or way.sense == 0 else way.path.duration - loop.clock
+        most = _MOST_BETWEEN if trail is None or way.sense <= 0 else trail.stride
+        self.looks_in = self._looked = max(1, min(most, int(min(left, 1e6) / self._longest_dt)))
+        if left > 0.0:
+            return False
+        if step.status is Status.TRACKING and loop.rate < 1.0 - RATE_ROUNDING:
+            reason = "; ".join(filter(None, (step.reason, "the object comes to rest where it was told to")))
+            amend(step, status=Status.SLOWED, rate=loop.rate, cause=Cause.OPERATOR, reason=reason)
+        return True
+
+    def tell(self, step: ControlStep) -> None:
+        """Say in a step that the object slows for a change, and no limit does it."""
+        wanted = self.wanted
+        if wanted is not None and step.status in (Status.SLOWED, Status.PAUSED) and not self.paused:
+            binding = tuple(b for b in step.binding if b.kind is not LimitKind.OVERRIDE)
+            reason = "; ".join(filter(None, (step.reason, wanted.waits)))
+            amend(step, status=Status.SLOWED, cause=Cause.OPERATOR, binding=binding, reason=reason)
+        elif self.gear is not None and self.gear.silent and step.status in (Status.SLOWED, Status.PAUSED):
+            amend(step, reason="; ".join(filter(None, (step.reason, "no position comes from the belt"))))
+        elif step.status is Status.JOGGING:
+            why = "the object brakes before it goes the new way" if wanted is not None else self._by_hand()
+            binding = tuple(b for b in step.binding if b.kind is not LimitKind.OVERRIDE)
+            cause = self.way.cause(Status.PAUSED, None, binding)
+            amend(step, cause=cause, binding=binding, reason="; ".join(filter(None, (step.reason, why))))
+
+    def _by_hand(self) -> str:
+        if self.returns:
+            return "it goes back to its path"
+        if not self.expired:
+            return ""
+        return "no command holds; return_to_path() leads it back"
+
+    # -- events and copies -----------------------------------------------------------------------------------------
+
+    def note(self, call: str, value: Any) -> None:
+        """Remember a call, for recordings."""
+        self._events.append((call, value, self.clock))
+
+    def take_events(self) -> list[tuple[str, Any, float]]:
+        """The calls since the last time: name, value and the program's clock at each [s]."""
+        events = list(self._events)
+        self._events.clear()
+        return events
+
+    def memory(self) -> dict[str, Any]:
+        """All that a copy needs; the way may be copied deeply."""
+        trail = None if self.trail is None else self.trail.copy()
+        return {name: getattr(self, name) for name in _VARYING} | {"trail": trail}
+
+    def restore(self, memory: Mapping[str, Any]) -> None:
+        """Go on from what :meth:`memory` returned; the loop follows the way."""
+        vars(self).update(memory)
+        if self.trail is not None:
+            self.trail = self.trail.copy()
+        self._loop.follow(self.way.path, self.way)

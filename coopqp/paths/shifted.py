@@ -1,0 +1,87 @@
+"""A path that goes over to a shifted one."""
+
+from __future__ import annotations
+
+import itertools
+from typing import final
+
+import numpy as np
+import pinocchio as pin
+
+from coopqp.checks import as_scalar
+from coopqp.errors import InvalidInputError
+from coopqp.native.constants import TURN_LENGTH
+from coopqp.paths.path import ObjectPath, TimeLaw
+from coopqp.spatial import Array, Placement, as_placement
+
+#: Samples of a length along a path.
+_SAMPLES = 400
+
+
+@final
+class ShiftedPath(ObjectPath):
+    """A path up to a clock, then more and more ``T_world_shift · path``: wholly from a later clock on.
+
+    ``T(τ) = exp(w(τ) log T_world_shift) · path(τ)``, with the quintic w from 0 to 1 between the two clocks.
+
+    Args:
+        path: the path so far.
+        T_world_shift: the shift, in the world.
+        begin, end: clocks between which it comes in [s].
+
+    Raises:
+        InvalidInputError: no placement, or clocks that do not rise.
+    """
+
+    def __init__(self, path: ObjectPath, T_world_shift: Placement, *, begin: float, end: float) -> None:
+        self.path = path
+        self.shift = as_placement(T_world_shift, "ShiftedPath: T_world_shift")
+        self.begin = as_scalar(begin, "ShiftedPath: begin", open_low=False)
+        self.end = as_scalar(end, "ShiftedPath: end")
+        if not self.end > self.begin:
+            raise InvalidInputError("it ends before it begins", "ShiftedPath", "Give clocks that rise.")
+        self.duration, self.known_ahead = path.duration, path.known_ahead
+        self.planned_share, self.elbows = path.planned_share, path.elbows
+        #: The shift's logarithm (6,).
+        self._log = np.asarray(pin.log6(self.shift).vector)
+
+    def _share(self, clock: float) -> tuple[float, float]:
+        span = self.end - self.begin
+        x = (clock - self.begin) / span
+        return TimeLaw.QUINTIC.value_at(x), TimeLaw.QUINTIC.slope_at(x) / span
+
+    def next_breakpoint(self, clock: float) -> float:
+        """See :meth:`ObjectPath.next_breakpoint`."""
+        return self.path.next_breakpoint(clock)
+
+    def pose(self, clock: float) -> pin.SE3:
+        """T_world_object at ``clock`` [s]."""
+        return pin.exp6(self._share(clock)[0] * self._log) * self.path.pose(clock)
+
+    def twist(self, clock: float) -> Array:
+        """Body twist at ``clock`` [m/s, rad/s]."""
+        twist: Array = self.path.twist(clock)
+        slope = self._share(clock)[1]
+        if slope:
+            twist = twist + slope * np.asarray(self.path.pose(clock).actInv(pin.Motion(self._log)).vector)
+        return twist
+
+
+def clock_after(path: ObjectPath, clock: float, length: float) -> float:
+    """The clock [s] at which a path is ``length`` [m] further than at ``clock``, a turn of 1 rad as 0.3 m; or its end.
+
+    Returns:
+        The clock; ``clock`` itself where the path goes no further.
+    """
+    ends = path.duration if np.isfinite(path.duration) else clock + 60.0
+    clocks = np.linspace(clock, ends, _SAMPLES)
+    poses = [path.pose(float(t)) for t in clocks]
+    ways = [0.0]
+    for a, b in itertools.pairwise(poses):
+        step = np.asarray(pin.log6(a.actInv(b)).vector)
+        ways.append(ways[-1] + max(float(np.linalg.norm(step[:3])), TURN_LENGTH * float(np.linalg.norm(step[3:]))))
+    if ways[-1] <= 0.0:
+        return clock
+    if ways[-1] <= length:
+        return float(clocks[int(np.searchsorted(ways, ways[-1]))])
+    return float(np.interp(length, ways, clocks))
