@@ -17,17 +17,20 @@ from coopqp.collision.built_scene import BuiltScene
 from coopqp.collision.coal_geometry import reach_of
 from coopqp.collision.convex_shapes import ConvexShapes
 from coopqp.collision.distances import Distances
+from coopqp.collision.edges import edges_of
 from coopqp.collision.evasion import evading_trajectory
 from coopqp.collision.pairs import Names, PairRules, as_pair, srdf_pairs
 from coopqp.collision.parts import Levers, Part, joints_to
 from coopqp.collision.path_check import check_clearance
 from coopqp.errors import InvalidInputError, UnknownNameError, shown
+from coopqp.model.batch import ArmKinematics
 from coopqp.model.cell import RobotCell
 from coopqp.model.grasp import Grasp
 from coopqp.model.shapes import Body, Box, NearPair
 from coopqp.paths.scenario import Scenario
 from coopqp.planning.clearance_check import ClearanceCheck
 from coopqp.planning.joint_trajectories import CellTrajectory
+from coopqp.planning.route.edges import EdgeLimits, Edges
 from coopqp.spatial import Array, as_placement
 
 #: Distance that is kept by default [m].
@@ -167,6 +170,31 @@ class CollisionScene:
             ways: joint positions of each arm along its ways (B, K, its joints) [rad or m].
         """
         return clear_choice(self.built, ways)
+
+    @property
+    def labels(self) -> tuple[tuple[str, str], ...]:
+        """Names of the bodies of each pair of shapes, P of them."""
+        return self.built.labels
+
+    def required_at(self, starts: Array) -> tuple[Array, Array]:
+        """See :class:`coopqp.planning.route.edges.SearchedBodies`."""
+        built = self.built
+        required = np.where(built.moves, -np.inf, built.margins)  # where bodies move to nobody knows
+        if built.inside.any():
+            distances = Distances(built)
+            for x in starts:
+                found = distances.all(self.cell.configuration(x))
+                required = np.where(built.inside, np.minimum(required, found), required)
+        return required, built.levers
+
+    def edges(self, arms: Sequence[ArmKinematics], grasp: Grasp, limits: EdgeLimits) -> Edges:
+        """Edges of a search for a way of these arms among the bodies."""
+        return edges_of(self.built, arms, grasp, limits)
+
+    def widened(self, clearance: float) -> CollisionScene:
+        """The same bodies, which keep so much more than their margins [m]."""
+        margins = {pair: margin + clearance for pair, margin in self.margins.items()}
+        return replace(self, margin=self.margin + clearance, margins=margins)
 
     def of_cell(self, cell: RobotCell, grasp: Grasp) -> CollisionScene:
         """The same bodies about other arms or another grasp."""

@@ -1,0 +1,287 @@
+"""A way round: the object's path between two poses, for all arms at once, and its proof."""
+
+from __future__ import annotations
+
+import time
+from collections import Counter
+from dataclasses import dataclass
+from typing import final
+
+import numpy as np
+import pinocchio as pin
+
+from coopqp.checks import NOT_NUMBERS, ArrayLike, as_count, as_floats, as_scalar
+from coopqp.errors import InvalidInputError
+from coopqp.model.batch import ArmKinematics
+from coopqp.model.cell import RobotCell
+from coopqp.model.chain import Chain
+from coopqp.model.grasp import Grasp
+from coopqp.native.constants import SMALL_CLEARANCE
+from coopqp.planning.branch_checks import PathVerdict
+from coopqp.planning.check import check_path
+from coopqp.planning.clearance_check import check_scene
+from coopqp.planning.planner import some_timing
+from coopqp.planning.route.edges import SPARE, EdgeLimits, Edges, SearchedBodies, Stop, columns_of, limits_with
+from coopqp.planning.route.ends import Ends, ends_at
+from coopqp.planning.route.route import Route, RouteVerdict
+from coopqp.planning.route.search import Search, SearchLimits, SearchResult
+from coopqp.planning.route.shorten import along, lines_of, rounded, shortened
+from coopqp.planning.route.tree import Node, Pose, Tree, straight
+from coopqp.planning.starts import exact_start
+from coopqp.spatial import Array, Placement, as_placement
+
+#: The object's origin keeps within this of the box of start and goal, below and above [m].
+_BELOW, _ABOVE = 0.3, 0.4
+#: Time for shortcuts, as a share of what is left and at most [s].
+_SHORTENING = 0.6
+#: Ways that are searched until one is proved.
+_MOST_WAYS = 4
+#: A given start whose joints are further from ones that hold the object is refused [rad or m].
+_OFF = 1e-2
+#: Rooms and spares are known to within this [m].
+_ROUNDING = 1e-7
+#: Largest deviations at corners that are tried until the way is proved [m].
+_DEVIATIONS = (0.08, 0.02, 0.005, 0.0)
+
+
+def find_path(
+    cell: RobotCell,
+    grasp: Grasp,
+    start: Placement,
+    goal: Placement,
+    scene: SearchedBodies,
+    *,
+    q_start: ArrayLike | None = None,
+    nodes: int | None = None,
+    time_limit: float = 10.0,
+    seed: int = 0,
+    region: ArrayLike | None = None,
+    clearance: float = 0.0,
+) -> Route:
+    """Find a way of the object from one pose to another that all arms can follow, clear of all bodies, and prove it.
+
+    Two trees of poses grow from both ends; each edge is a straight line along which all arms walk. The way is
+    shortened, its corners are rounded off, and :func:`check_path` proves it. What is not found may exist all the same.
+
+    Args:
+        cell, grasp: the arms, and how they hold the object.
+        start, goal: poses of the object.
+        scene: the bodies that keep distances, a :class:`coopqp.CollisionScene` of the same cell.
+        q_start: configuration at the start (nq,); found by default.
+        nodes: number of poses in the trees that ends the search, samples that lead to none included. A search that
+            ends by it gives the same way again, bit for bit, with the same seed, kernel and type of processor.
+        time_limit: the longest search [s]; a way that is found by then is shortened, rounded and proved after it.
+        seed: seed of the random numbers.
+        region: lowest and highest origin of the object (2, 3) [m]; by default from 0.3 m below start and goal to 0.4 m
+            above them, in every direction.
+        clearance: distance that is kept beyond the scene's margins [m].
+
+    Raises:
+        InvalidInputError: bad arguments, or a start that does not hold the object at its pose.
+    """
+    began = time.perf_counter()
+    where = "find_path"
+    grasp.check_arms(cell)
+    check_scene(cell, scene, f"{where}: scene")
+    if scene is None:
+        raise InvalidInputError("no scene", f"{where}: scene", "Give a CollisionScene; without bodies use check_path.")
+    ends = as_placement(start, f"{where}: start"), as_placement(goal, f"{where}: goal")
+    limits = _Limits(
+        nodes=None if nodes is None else as_count(nodes, f"{where}: nodes"),
+        until=began + as_scalar(time_limit, f"{where}: time_limit"),
+        shortens=nodes is None,
+    )
+    bounds = _region(region, ends, f"{where}: region")
+    clearance = as_scalar(clearance, f"{where}: clearance", open_low=False)
+    scene = scene.widened(clearance) if clearance > 0.0 else scene
+    given = None if q_start is None else cell.check_configuration(q_start, f"{where}: q_start")
+    return _Finding(cell, grasp, scene, began, limits, bounds, np.random.default_rng(seed)).route(*ends, given)
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Limits:
+    """What ends the search: a number of nodes, or the clock; and whether the clock ends the shortcuts, too."""
+
+    nodes: int | None
+    until: float
+    shortens: bool
+
+
+def _region(region: ArrayLike | None, ends: tuple[pin.SE3, pin.SE3], where: str) -> Array:
+    """Lowest and highest origin (2, 3) [m]."""
+    p = np.array([T.translation for T in ends])
+    if region is None:
+        return np.array([p.min(axis=0) - _BELOW, p.max(axis=0) + _ABOVE])
+    remedy = "Give the lowest and the highest origin [m], each (3,)."
+    try:
+        box = as_floats(region)
+    except NOT_NUMBERS as error:
+        raise InvalidInputError(f"not numbers ({error})", where, remedy) from error
+    if box.shape != (2, 3) or not np.isfinite(box).all():
+        raise InvalidInputError(f"shape {box.shape}, or not finite", where, remedy)
+    if not (box[0] <= box[1]).all():
+        raise InvalidInputError("its low corner is above its high one", where, "Give the lowest origin first [m].")
+    if not ((p >= box[0] - 1e-9) & (p <= box[1] + 1e-9)).all():
+        raise InvalidInputError("start or goal is outside", where, "Give a region that contains both.")
+    return box
+
+
+@final
+class _Finding:
+    """One search with all that it needs."""
+
+    def __init__(
+        self,
+        cell: RobotCell,
+        grasp: Grasp,
+        scene: SearchedBodies,
+        began: float,
+        limits: _Limits,
+        region: Array,
+        rng: np.random.Generator,
+    ) -> None:
+        self._cell, self._grasp, self._scene = cell, grasp, scene
+        self._began, self._limits, self._region, self._rng = began, limits, region, rng
+        self._arms = [ArmKinematics(arm) for arm in cell.arms]
+        required, _ = scene.required_at(np.empty((0, cell.nv)))
+        anywhere = np.full(cell.nv, np.inf)
+        self._kept = EdgeLimits(-anywhere, anywhere, required.copy(), np.full(len(required), SPARE))
+        self._edges: Edges = scene.edges(self._arms, grasp, self._kept)
+
+    def route(self, start: pin.SE3, goal: pin.SE3, q_start: Array | None) -> Route:
+        """The answer."""
+        starts = self._starts(start, q_start)
+        if not len(starts.x):
+            return self._no_end(starts, "start")
+        goals = ends_at(self._cell, self._arms, self._grasp, goal, self._scene, self._edges, near=starts.x[0])
+        if not len(goals.x):
+            return self._no_end(goals, "goal")
+        self._keep(starts, goals)
+        roots = [
+            [Node(Pose.of(T), *row) for row in zip(e.x, e.rooms, strict=False)]
+            for T, e in ((start, starts), (goal, goals))
+        ]
+        return self._between(*roots)
+
+    def _starts(self, start: pin.SE3, q_start: Array | None) -> Ends:
+        if q_start is None:
+            return ends_at(self._cell, self._arms, self._grasp, start, self._scene, self._edges)
+        x = self._cell.positions(q_start)
+        exact = self._cell.positions(self._exact(start, x))
+        if np.abs(exact - x).max() > _OFF:
+            raise InvalidInputError(
+                "it does not hold the object at the start",
+                "find_path: q_start",
+                "Give a start that does (inverse_kinematics), or none.",
+            )
+        required, _ = self._scene.required_at(exact[None])
+        self._kept.required[:] = required
+        rooms = self._edges.rooms(exact)
+        k = int(rooms.argmin())
+        if rooms[k] < -SMALL_CLEARANCE:
+            first, second = self._scene.labels[k]
+            return Ends(np.empty((0, self._cell.nv)), rooms[None][:0], f"{first} and {second} come inside their margin")
+        return Ends(exact[None], rooms[None])
+
+    def _keep(self, starts: Ends, goals: Ends) -> None:
+        """Limits of the edges: ends may be closer to a limit, or to a body, than the way between them gets."""
+        kept = limits_with(self._cell, np.vstack([starts.x, goals.x]), self._kept.required)
+        rooms = np.vstack([starts.rooms, goals.rooms]).min(axis=0)
+        self._kept.lower[:], self._kept.upper[:] = kept.lower, kept.upper
+        self._kept.spare[:] = np.clip(rooms - _ROUNDING, -_ROUNDING, SPARE)
+
+    def _no_end(self, ends: Ends, which: str) -> Route:
+        spent = time.perf_counter() - self._began
+        verdict = RouteVerdict.INFEASIBLE if ends.proved else RouteVerdict.NOT_FOUND
+        reason = f"The {which} is impossible: {ends.why}."
+        if not ends.proved:
+            reason = f"No way was found; nothing is proved. At the {which} {ends.why}."
+        return Route(verdict=verdict, reason=reason, first_s=spent, total_s=spent)
+
+    def _between(self, starts: list[Node], goals: list[Node]) -> Route:
+        """A way between roots."""
+        edge = straight(self._edges, starts[0], goals[0].pose)
+        if edge.complete:
+            route = self._proved([starts[0], *edge.nodes], None, RouteVerdict.STRAIGHT)
+            if route is not None:
+                return route
+        search = Search(self._edges, starts, goals, self._region, self._rng)
+        result = search.result
+        for _ in range(_MOST_WAYS):
+            result = search.run(SearchLimits(nodes=self._limits.nodes, until=self._limits.until))
+            if not result.way:
+                break
+            route = self._proved(result.way, result, RouteVerdict.FOUND)
+            if route is not None:
+                return route
+            search.forget()
+        return self._not_found(result)
+
+    def _proved(self, way: list[Node], result: SearchResult | None, verdict: RouteVerdict) -> Route | None:
+        """The way as an answer; None if it is not proved."""
+        first = time.perf_counter() - self._began
+        until = np.inf if not self._limits.shortens else time.perf_counter() + _SHORTENING
+        way = shortened(self._edges, way, self._rng, until)
+        lines = lines_of(way)
+        q_start = self._exact(way[0].pose.placement(), way[0].x)
+        for deviation in _DEVIATIONS if len(lines) > 1 else (0.0,):
+            geometry = rounded(self._edges, way[0], lines, deviation)
+            path = some_timing(geometry)
+            check = check_path(self._cell, self._grasp, path, q_start=q_start, scene=self._scene)
+            if check.verdict is PathVerdict.CERTIFIED:
+                nodes, _ = along(self._edges, way[0], geometry)
+                return Route(
+                    verdict=verdict,
+                    path=path,
+                    check=check,
+                    length=geometry.length,
+                    nodes=0 if result is None else result.nodes,
+                    first_s=first,
+                    total_s=time.perf_counter() - self._began,
+                    trees=() if result is None or result.trees is None else tuple(map(_edges_of, result.trees)),
+                    joints=np.array([node.x for node in nodes]),
+                    poses=np.array([np.append(node.pose.R, node.pose.p) for node in nodes]),
+                )
+        return None
+
+    def _exact(self, T_world_object: pin.SE3, x: Array) -> Array:
+        """The configuration (nq,) at joint positions (nv,) that holds the object at a pose to rounding."""
+        return exact_start(Chain(self._cell, self._grasp), T_world_object, x)
+
+    def _not_found(self, result: SearchResult) -> Route:
+        spent = time.perf_counter() - self._began
+        close = f"; the trees came within {result.closest:.2f} m" if np.isfinite(result.closest) else ""
+        return Route(
+            verdict=RouteVerdict.NOT_FOUND,
+            reason=(
+                f"No way in {spent:.1f} s and {result.nodes} poses; nothing is proved{close}"
+                f"{self._blame(result.stops)}."
+            ),
+            nodes=result.nodes,
+            first_s=spent,
+            total_s=spent,
+            trees=() if result.trees is None else tuple(map(_edges_of, result.trees)),
+        )
+
+    def _blame(self, stops: Counter[Stop]) -> str:
+        """What stopped most edges."""
+        if not stops:
+            return ""
+        (kind, index), _ = stops.most_common(1)[0]
+        if kind == "pair":
+            return "; {} and {} stop it most".format(*self._scene.labels[index])
+        k = self._cell.arm_of_joint(index)
+        own = int(np.flatnonzero(columns_of(self._cell, self._arms)[k] == index)[0])
+        arm = self._arms[k]
+        what = {
+            "reach": "the end of its reach",
+            "singular": "a singularity",
+            "limit": f"the limit of {arm.joints[own]}",
+        }
+        return f"; arm {arm.arm.name} stops it most, at {what[kind]}"
+
+
+def _edges_of(tree: Tree) -> Array:
+    """Origins at both ends of the edges (E, 2, 3) [m]."""
+    pairs = [(tree.nodes[j].pose.p, node.pose.p) for node, j in zip(tree.nodes, tree.parents, strict=True) if j >= 0]
+    return np.array(pairs).reshape(-1, 2, 3)
