@@ -8,7 +8,7 @@ from typing import Any, final
 import numpy as np
 
 from coopqp.collision.built_scene import BuiltScene
-from coopqp.collision.distances import KERNEL, core_shapes
+from coopqp.collision.distances import KERNEL
 from coopqp.collision.edges_plain import BENT, FAR, PlainEdges
 from coopqp.model.batch import ArmKinematics
 from coopqp.model.grasp import Grasp
@@ -20,23 +20,25 @@ _KINDS = ("", "reach", "limit", "singular", "pair")
 
 
 def edges_of(
-    built: BuiltScene, arms: Sequence[ArmKinematics], grasp: Grasp, limits: EdgeLimits, *, kernel: Any = None
+    built: BuiltScene,
+    arms: Sequence[ArmKinematics],
+    grasp: Grasp,
+    limits: EdgeLimits,
+    *,
+    shapes: dict[str, Any] | None = None,
 ) -> Edges:
-    """Edges of a scene, compiled where it can be.
+    """Edges of a scene, compiled where they can be.
 
     Args:
         built: the scene.
         arms: kinematics of each arm of its cell.
         grasp: how they hold the object.
         limits: what the edges keep.
-        kernel: the compiled module or :mod:`coopqp.collision.bounds_plain`; None for the fastest of this installation.
+        shapes: what :func:`coopqp.collision.distances.core_shapes` tells of the scene; None for plain edges.
     """
-    kernel = KERNEL if kernel is None else kernel
-    compiled = hasattr(kernel, "Edges") and all(arm.kernel is kernel for arm in arms)
-    shapes = core_shapes(built.cell.model, built.geometry) if compiled else None
-    if shapes is None:
+    if shapes is None or not hasattr(KERNEL, "Edges") or any(arm.kernel is not KERNEL for arm in arms):
         return PlainEdges(built, arms, grasp, limits)
-    return _CompiledEdges(kernel, shapes, built, arms, grasp, limits)
+    return _CompiledEdges(KERNEL, shapes, built, arms, grasp, limits)
 
 
 @final
@@ -66,7 +68,7 @@ class _CompiledEdges:
             }
             for arm, columns, X in zip(arms, columns_of(built.cell, arms), grasp.T_object_tool, strict=True)
         ]
-        self._pairs = len(built.labels)
+        self._kernel, self._pairs = kernel, len(built.labels)
         self._native = kernel.Edges(numbers, of_arms, shapes)
 
     def walk(self, poses: Array, motion: Array, x: Array, rooms: Array) -> Walked:
@@ -75,6 +77,12 @@ class _CompiledEdges:
         positions[0], kept[0] = x, rooms
         reached = self._native.walk(poses, motion, positions, kept, stop) + 1
         return Walked(positions[:reached], kept[:reached], Stop(_KINDS[int(stop[0])], int(stop[1])))
+
+    def line(self, start: Array, goal: Array, steps: int) -> Array:
+        """See :class:`coopqp.planning.route.edges.Edges`."""
+        poses = np.empty((steps + 1, 12))
+        self._kernel.line(start, goal, poses)
+        return poses
 
     def rooms(self, x: Array) -> Array:
         """See :class:`coopqp.planning.route.edges.Edges`."""

@@ -13,7 +13,7 @@ from coopqp.collision.distances import Distances, Indices
 from coopqp.model.batch import ArmKinematics
 from coopqp.model.grasp import Grasp
 from coopqp.planning.route.edges import EdgeLimits, Stop, Walked, columns_of
-from coopqp.spatial import Array
+from coopqp.spatial import Array, rotations
 
 #: Joints are taken to move this many times the straight way between two poses.
 BENT = 1.1
@@ -61,6 +61,17 @@ class PlainEdges:
             positions.append(after)
             kept.append(ahead)
         return Walked(np.array(positions), np.array(kept), _FREE)
+
+    def line(self, start: Array, goal: Array, steps: int) -> Array:
+        """See :class:`coopqp.planning.route.edges.Edges`."""
+        share = np.linspace(0.0, 1.0, steps + 1)[:, None]
+        R = start[:9].reshape(3, 3)
+        turn = np.asarray(pin.log3(R.T @ goal[:9].reshape(3, 3)))
+        poses = np.empty((steps + 1, 12))
+        poses[:, :9] = (R @ rotations(share * turn)).reshape(-1, 9)
+        poses[:, 9:] = start[9:] + share * (goal[9:] - start[9:])
+        poses[-1] = goal
+        return poses
 
     def rooms(self, x: Array) -> Array:
         """See :class:`coopqp.planning.route.edges.Edges`."""

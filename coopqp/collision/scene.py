@@ -16,9 +16,10 @@ from coopqp.collision.branch_choice import clear_choice
 from coopqp.collision.built_scene import BuiltScene
 from coopqp.collision.coal_geometry import reach_of
 from coopqp.collision.convex_shapes import ConvexShapes
-from coopqp.collision.distances import Distances
+from coopqp.collision.distances import Distances, core_shapes
 from coopqp.collision.edges import edges_of
 from coopqp.collision.evasion import evading_trajectory
+from coopqp.collision.gaps import ObjectGaps
 from coopqp.collision.pairs import Names, PairRules, as_pair, srdf_pairs
 from coopqp.collision.parts import Levers, Part, joints_to
 from coopqp.collision.path_check import check_clearance
@@ -187,9 +188,21 @@ class CollisionScene:
                 required = np.where(built.inside, np.minimum(required, found), required)
         return required, built.levers
 
+    @cached_property
+    def _core_shapes(self) -> dict[str, Any] | None:
+        return core_shapes(self.cell.model, self.built.geometry)
+
     def edges(self, arms: Sequence[ArmKinematics], grasp: Grasp, limits: EdgeLimits) -> Edges:
         """Edges of a search for a way of these arms among the bodies."""
-        return edges_of(self.built, arms, grasp, limits)
+        return edges_of(self.built, arms, grasp, limits, shapes=self._core_shapes)
+
+    @cached_property
+    def _gaps(self) -> ObjectGaps:
+        return ObjectGaps(self.built, self.grasp)
+
+    def pushed(self, T_world_object: pin.SE3, along: Array, required: Array) -> pin.SE3 | None:
+        """See :class:`coopqp.planning.route.edges.SearchedBodies`."""
+        return self._gaps.pushed(T_world_object, along, required)
 
     def widened(self, clearance: float) -> CollisionScene:
         """The same bodies, which keep so much more than their margins [m]."""
@@ -201,7 +214,7 @@ class CollisionScene:
         return replace(self, cell=cell, grasp=grasp)
 
     def __getstate__(self) -> dict[str, Any]:
-        return {name: value for name, value in self.__dict__.items() if name != "built"}
+        return {name: value for name, value in self.__dict__.items() if name not in ("built", "_gaps", "_core_shapes")}
 
 
 def _bodies(bodies: Any, where: str) -> tuple[Body, ...]:

@@ -221,6 +221,24 @@ void Edges::measure(const In &x, Out &rooms) {
     for (Py_ssize_t k = 0; k < pairs; k++) rooms.data[k] = asked(k, x.data, FINE);
 }
 
+/* line(from, to, poses): poses along the straight edge between two, the last one to the last bit. */
+static void line(const In &from, const In &to, Out &poses) {
+    const Py_ssize_t count = poses.size / 12;
+    check_fit(from.size == 12 && to.size == 12 && count >= 2 && poses.size == 12 * count);
+    double D[9], w[3], turn[3], R[9];
+    multiply3_back(from.data, to.data, D);
+    rotation_vector(D, w);
+    for (Py_ssize_t i = 0; i + 1 < count; i++) {
+        const double share = (double)i / (double)(count - 1);
+        double *pose = poses.data + 12 * i;
+        for (int m = 0; m < 3; m++) turn[m] = share * w[m];
+        exp3(turn, R);
+        multiply3(from.data, R, pose);
+        for (int m = 0; m < 3; m++) pose[9 + m] = from.data[9 + m] + share * (to.data[9 + m] - from.data[9 + m]);
+    }
+    memcpy(poses.data + 12 * (count - 1), to.data, 12 * sizeof(double));
+}
+
 static void build_edges(Edges *self, const nb::dict &arrays, const nb::list &arms, const nb::dict &shapes) {
     const auto array = [&](const char *name) {
         In out;
@@ -236,6 +254,7 @@ static void build_edges(Edges *self, const nb::dict &arrays, const nb::list &arm
 }
 
 void bind_edges(nb::module_ &m) {
+    m.def("line", line);
     nb::class_<Edges>(m, "Edges", "Edges of a search for the object's path.")
         .def("__init__", build_edges)
         .def("walk", &Edges::walk)

@@ -19,7 +19,7 @@ from coopqp.model.inverse_kinematics import inverse_kinematics
 from coopqp.native import compiled
 from coopqp.planning import PathVerdict, Route, RouteVerdict
 from coopqp.planning.route.edges import EdgeLimits, limits_with
-from coopqp.planning.route.tree import Pose, poses_between
+from coopqp.planning.route.tree import STEP, Pose, distance
 from coopqp.scenarios import dual_arm7
 
 #: Poses in the trees that end a search in a test.
@@ -183,7 +183,11 @@ def test_compiled_edges_go_as_far_as_their_definition() -> None:
     kinds = set()
     for _ in range(12):
         goal = problem.start * pin.exp6(pin.Motion(rng.uniform(-1.0, 1.0, 6) * [0.3, 0.3, 0.3, 0.5, 0.5, 0.5]))
-        rows, motion = poses_between(Pose.of(problem.start), Pose.of(goal))
+        a, b = Pose.of(problem.start), Pose.of(goal)
+        steps = int(np.ceil(distance(a, b) / STEP))
+        rows, way = both[0].line(a.row(), b.row(), steps), (pin.log3(a.R.T @ b.R), b.p - a.p)
+        np.testing.assert_allclose(rows, both[1].line(a.row(), b.row(), steps), atol=1e-12)
+        motion = np.tile([np.linalg.norm(way[1]) / steps, np.linalg.norm(way[0]) / steps], (steps, 1))
         one, other = (edges.walk(rows, motion, x, room) for edges, room in zip(both, rooms, strict=True))
         assert one.stop.kind == other.stop.kind
         assert len(one.positions) == len(other.positions)

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from typing import NamedTuple, Protocol
 
 import numpy as np
+import pinocchio as pin
 
 from coopqp.model.batch import ArmKinematics
 from coopqp.model.cell import RobotCell
@@ -80,6 +81,10 @@ class Edges(Protocol):
         """
         ...
 
+    def line(self, start: Array, goal: Array, steps: int) -> Array:
+        """Poses along the straight edge between two (12,), rows of R (9), p (3): (steps + 1, 12)."""
+        ...
+
     def rooms(self, x: Array) -> Array:
         """Distance less what is required (P,) [m] at joint positions (nv,), or a lower bound of it."""
         ...
@@ -102,6 +107,16 @@ class SearchedBodies(Bodies, Protocol):
 
     def edges(self, arms: Sequence[ArmKinematics], grasp: Grasp, limits: EdgeLimits) -> Edges:
         """Edges of these arms, which hold the object by a grasp."""
+        ...
+
+    def pushed(self, T_world_object: pin.SE3, along: Array, required: Array) -> pin.SE3 | None:
+        """A pose pushed across a line until the object keeps its distances from what stands; None if it does not.
+
+        Args:
+            T_world_object: the pose.
+            along: unit vector of the line (3,), along which it is not pushed.
+            required: distance of each pair (P,) [m].
+        """
         ...
 
     def widened(self, clearance: float) -> SearchedBodies:

@@ -58,9 +58,25 @@ def ends_at(
         scene, edges: the bodies.
         near: joint positions (nv,) to which the ends are near; None for ends far from the joints' limits.
     """
+    quick = _ends(cell, arms, grasp, T_world_object, scene, edges, near, quick=True)
+    return quick if len(quick.x) else _ends(cell, arms, grasp, T_world_object, scene, edges, near, quick=False)
+
+
+def _ends(
+    cell: RobotCell,
+    arms: Sequence[ArmKinematics],
+    grasp: Grasp,
+    T_world_object: pin.SE3,
+    scene: SearchedBodies,
+    edges: Edges,
+    near: Array | None,
+    *,
+    quick: bool,
+) -> Ends:
+    """The ends among all branches of each arm, or among those that a quick look finds."""
     columns, options = columns_of(cell, arms), []
     for arm, own, X in zip(arms, columns, grasp.T_object_tool, strict=True):
-        found = find_branches(arm, T_world_object * X, near=None if near is None else near[None, own])
+        found = find_branches(arm, T_world_object * X, near=None if near is None else near[None, own], quick=quick)
         choices = _choices(arm, found, None if near is None else near[own])
         if not choices:
             return Ends(np.empty((0, cell.nv)), np.empty((0, 0)), _no_branch(arm, found))

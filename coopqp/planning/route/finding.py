@@ -24,7 +24,7 @@ from coopqp.planning.planner import some_timing
 from coopqp.planning.route.edges import SPARE, EdgeLimits, Edges, SearchedBodies, Stop, columns_of, limits_with
 from coopqp.planning.route.ends import Ends, ends_at
 from coopqp.planning.route.route import Route, RouteVerdict
-from coopqp.planning.route.search import Search, SearchLimits, SearchResult
+from coopqp.planning.route.search import Search, Searched, SearchLimits, SearchResult
 from coopqp.planning.route.shorten import along, lines_of, rounded, shortened
 from coopqp.planning.route.tree import Node, Pose, Tree, straight
 from coopqp.planning.starts import exact_start
@@ -205,7 +205,11 @@ class _Finding:
             route = self._proved([starts[0], *edge.nodes], None, RouteVerdict.STRAIGHT)
             if route is not None:
                 return route
-        search = Search(self._edges, starts, goals, self._region, self._rng)
+        task = Searched(
+            arms=self._arms, grasp=self._grasp, columns=columns_of(self._cell, self._arms), scene=self._scene,
+            edges=self._edges, kept=self._kept, region=self._region,
+        )  # fmt: skip
+        search = Search(task, starts, goals, self._rng)
         result = search.result
         for _ in range(_MOST_WAYS):
             result = search.run(SearchLimits(nodes=self._limits.nodes, until=self._limits.until))
@@ -238,7 +242,7 @@ class _Finding:
                     nodes=0 if result is None else result.nodes,
                     first_s=first,
                     total_s=time.perf_counter() - self._began,
-                    trees=() if result is None or result.trees is None else tuple(map(_edges_of, result.trees)),
+                    trees=() if result is None else tuple(map(_edges_of, result.trees)),
                     joints=np.array([node.x for node in nodes]),
                     poses=np.array([np.append(node.pose.R, node.pose.p) for node in nodes]),
                 )
@@ -260,7 +264,7 @@ class _Finding:
             nodes=result.nodes,
             first_s=spent,
             total_s=spent,
-            trees=() if result.trees is None else tuple(map(_edges_of, result.trees)),
+            trees=tuple(map(_edges_of, result.trees)),
         )
 
     def _blame(self, stops: Counter[Stop]) -> str:

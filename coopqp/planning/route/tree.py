@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections import Counter
 from typing import NamedTuple, final
 
@@ -10,10 +11,12 @@ import pinocchio as pin
 
 from coopqp.native.constants import TURN_LENGTH
 from coopqp.planning.route.edges import Edges, Stop
-from coopqp.spatial import Array, rotations
+from coopqp.spatial import Array
 
 #: Motion of the object between poses of an edge, and between nodes [m]; 1 rad counts as 0.3 m.
 STEP, NODE_STEPS = 0.02, 5
+#: By so much more than its length an edge may be longer, by rounding.
+_ROUNDING = 1e-9
 
 
 class Pose(NamedTuple):
@@ -27,6 +30,15 @@ class Pose(NamedTuple):
         """From a placement."""
         return Pose(T.translation.copy(), T.rotation.copy())
 
+    @staticmethod
+    def of_row(row: Array) -> Pose:
+        """From R (9), p (3)."""
+        return Pose(row[9:], row[:9].reshape(3, 3))
+
+    def row(self) -> Array:
+        """R (9), p (3)."""
+        return np.concatenate([self.R.ravel(), self.p])
+
     def placement(self) -> pin.SE3:
         """As a placement."""
         return pin.SE3(self.R, self.p)
@@ -37,9 +49,14 @@ def between(a: Pose, b: Pose) -> tuple[Array, Array]:
     return b.p - a.p, np.asarray(pin.log3(a.R.T @ b.R))
 
 
+def size_of(v: Array) -> float:
+    """Length of a vector (3,)."""
+    return math.sqrt(v.dot(v))
+
+
 def length_of(way: Array, turn: Array) -> float:
     """Length of a motion [m]."""
-    return float(np.sqrt(way @ way + TURN_LENGTH**2 * (turn @ turn)))
+    return math.sqrt(way.dot(way) + TURN_LENGTH**2 * turn.dot(turn))
 
 
 def distance(a: Pose, b: Pose) -> float:
@@ -51,19 +68,6 @@ def part_of(a: Pose, b: Pose, share: float) -> Pose:
     """The pose at a share of the straight edge."""
     way, turn = between(a, b)
     return Pose(a.p + share * way, a.R @ np.asarray(pin.exp3(share * turn)))
-
-
-def poses_between(a: Pose, b: Pose) -> tuple[Array, Array]:
-    """Poses along a straight edge as rows of R (9), p (3), and the motion between them (K − 1, 2) [m, rad]."""
-    way, turn = between(a, b)
-    steps = max(int(np.ceil(length_of(way, turn) / STEP)), 1)
-    share = np.linspace(0.0, 1.0, steps + 1)[:, None]
-    rows = np.empty((steps + 1, 12))
-    rows[:, :9] = (a.R @ rotations(share * turn)).reshape(-1, 9)
-    rows[:, 9:] = a.p + share * way
-    rows[-1, :9], rows[-1, 9:] = b.R.ravel(), b.p
-    motion = np.array([np.linalg.norm(way), np.linalg.norm(turn)]) / steps * (1.0 + 1e-9)
-    return rows, np.tile(motion, (steps, 1))
 
 
 class Node(NamedTuple):
@@ -84,12 +88,16 @@ class Edge(NamedTuple):
 
 def straight(edges: Edges, start: Node, goal: Pose) -> Edge:
     """Walk from a node straight to a pose, as far as it is free."""
-    rows, motion = poses_between(start.pose, goal)
+    way, turn = between(start.pose, goal)
+    steps = max(math.ceil(length_of(way, turn) / STEP), 1)
+    rows = edges.line(start.pose.row(), goal.row(), steps)
+    motion = np.empty((steps, 2))
+    motion[:] = (1.0 + _ROUNDING) * size_of(way) / steps, (1.0 + _ROUNDING) * size_of(turn) / steps
     found = edges.walk(rows, motion, start.x, start.rooms)
     last = len(found.positions) - 1
     marks = list(range(NODE_STEPS, last, NODE_STEPS)) + ([last] if last else [])
-    nodes = [Node(Pose(rows[i, 9:], rows[i, :9].reshape(3, 3)), found.positions[i], found.rooms[i]) for i in marks]
-    return Edge(nodes, last == len(rows) - 1, found.stop)
+    nodes = [Node(Pose.of_row(rows[i]), found.positions[i], found.rooms[i]) for i in marks]
+    return Edge(nodes, last == steps, found.stop)
 
 
 @final
