@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections import Counter
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import final
 
@@ -25,23 +26,25 @@ from coopqp.planning.route.edges import SPARE, EdgeLimits, Edges, SearchedBodies
 from coopqp.planning.route.ends import Ends, ends_at
 from coopqp.planning.route.route import Route, RouteVerdict
 from coopqp.planning.route.search import Search, Searched, SearchLimits, SearchResult
-from coopqp.planning.route.shorten import along, lines_of, rounded, shortened
+from coopqp.planning.route.shape import WIDEST, Shape, corners_of, faster, shaped
+from coopqp.planning.route.shorten import shortened
 from coopqp.planning.route.tree import Node, Pose, Tree, straight
 from coopqp.planning.starts import exact_start
 from coopqp.spatial import Array, Placement, as_placement
 
 #: The object's origin keeps within this of the box of start and goal, below and above [m].
 _BELOW, _ABOVE = 0.3, 0.4
-#: Time for shortcuts, as a share of what is left and at most [s].
-_SHORTENING = 0.6
+#: Time to make a way shorter and faster [s]; other ways that are searched, and nodes of such a search, besides twice
+#: those of the first.
+_BETTERING, _OTHERS, _OTHER_NODES = 0.45, 5, 100
 #: Ways that are searched until one is proved.
 _MOST_WAYS = 4
 #: A given start whose joints are further from ones that hold the object is refused [rad or m].
 _OFF = 1e-2
 #: Rooms and spares are known to within this [m].
 _ROUNDING = 1e-7
-#: Largest deviations at corners that are tried until the way is proved [m].
-_DEVIATIONS = (0.08, 0.02, 0.005, 0.0)
+#: Smaller deviations at corners that are tried until the way is proved [m].
+_LESS = (0.02, 0.005, 0.0)
 
 
 def find_path(
@@ -202,7 +205,9 @@ class _Finding:
         """A way between roots."""
         edge = straight(self._edges, starts[0], goals[0].pose)
         if edge.complete:
-            route = self._proved([starts[0], *edge.nodes], None, RouteVerdict.STRAIGHT)
+            way = [starts[0], *edge.nodes]
+            spent = time.perf_counter() - self._began
+            route = self._proved([self._shape(way, WIDEST)], RouteVerdict.STRAIGHT, None, spent)
             if route is not None:
                 return route
         task = Searched(
@@ -215,37 +220,66 @@ class _Finding:
             result = search.run(SearchLimits(nodes=self._limits.nodes, until=self._limits.until))
             if not result.way:
                 break
-            route = self._proved(result.way, result, RouteVerdict.FOUND)
+            first = time.perf_counter() - self._began
+            route = self._proved(self._shapes(task, starts, goals, result), RouteVerdict.FOUND, result, first)
             if route is not None:
                 return route
             search.forget()
         return self._not_found(result)
 
-    def _proved(self, way: list[Node], result: SearchResult | None, verdict: RouteVerdict) -> Route | None:
-        """The way as an answer; None if it is not proved."""
-        first = time.perf_counter() - self._began
-        until = np.inf if not self._limits.shortens else time.perf_counter() + _SHORTENING
-        way = shortened(self._edges, way, self._rng, until)
-        lines = lines_of(way)
-        q_start = self._exact(way[0].pose.placement(), way[0].x)
-        for deviation in _DEVIATIONS if len(lines) > 1 else (0.0,):
-            geometry = rounded(self._edges, way[0], lines, deviation)
-            path = some_timing(geometry)
-            check = check_path(self._cell, self._grasp, path, q_start=q_start, scene=self._scene)
-            if check.verdict is PathVerdict.CERTIFIED:
-                nodes, _ = along(self._edges, way[0], geometry)
-                return Route(
-                    verdict=verdict,
-                    path=path,
-                    check=check,
-                    length=geometry.length,
-                    nodes=0 if result is None else result.nodes,
-                    first_s=first,
-                    total_s=time.perf_counter() - self._began,
-                    trees=() if result is None else tuple(map(_edges_of, result.trees)),
-                    joints=np.array([node.x for node in nodes]),
-                    poses=np.array([np.append(node.pose.R, node.pose.p) for node in nodes]),
-                )
+    def _shapes(
+        self, task: Searched, starts: list[Node], goals: list[Node], result: SearchResult
+    ) -> list[Shape | None]:
+        """Shapes of the way and of some others, each shortened, the fastest first; that one is made faster still."""
+        until = time.perf_counter() + _BETTERING if self._limits.shortens else np.inf
+        shapes = [self._shape(shortened(self._edges, result.way, self._rng, until), WIDEST)]
+        for _ in range(_OTHERS):
+            if time.perf_counter() > until - 0.6 * _BETTERING:
+                break
+            other = Search(task, starts, goals, self._rng)
+            limits = SearchLimits(nodes=_OTHER_NODES + 2 * result.nodes, until=until)
+            if way := other.run(limits).way:
+                shapes.append(self._shape(shortened(self._edges, way, self._rng, until), WIDEST))
+        free = sorted((shape for shape in shapes if shape is not None), key=lambda shape: shape.duration)
+        if not free:
+            return []
+        better = faster(self._edges, self._cell.limits, free[0], self._rng, until)
+        return [better, *free]
+
+    def _shape(self, way: list[Node], widest: float) -> Shape | None:
+        return shaped(self._edges, self._cell.limits, way[0], corners_of(way), widest)
+
+    def _proved(
+        self, shapes: Sequence[Shape | None], verdict: RouteVerdict, result: SearchResult | None, first: float
+    ) -> Route | None:
+        """The first shape that is proved, with less rounded corners if need be; None if none is."""
+        for given in shapes:
+            for widest in (WIDEST, *_LESS) if given is not None else ():
+                assert given is not None
+                shape: Shape | None = given
+                if widest < WIDEST:
+                    shape = shaped(self._edges, self._cell.limits, given.nodes[0], given.poses, widest)
+                if shape is None:
+                    continue
+                path = some_timing(shape.geometry)
+                start = shape.nodes[0]
+                q_start = self._exact(start.pose.placement(), start.x)
+                check = check_path(self._cell, self._grasp, path, q_start=q_start, scene=self._scene)
+                if check.verdict is PathVerdict.CERTIFIED:
+                    return Route(
+                        verdict=verdict,
+                        path=path,
+                        check=check,
+                        length=shape.geometry.length,
+                        nodes=0 if result is None else result.nodes,
+                        first_s=first,
+                        total_s=time.perf_counter() - self._began,
+                        trees=() if result is None else tuple(map(_edges_of, result.trees)),
+                        joints=np.array([node.x for node in shape.nodes]),
+                        poses=np.array([node.pose.row() for node in shape.nodes]),
+                    )
+                if len(shape.poses) < 3:
+                    break
         return None
 
     def _exact(self, T_world_object: pin.SE3, x: Array) -> Array:

@@ -8,10 +8,14 @@ from typing import Any, final
 
 import numpy as np
 
+from coopqp.errors import InvalidInputError, UndecidedError
 from coopqp.paths.timed import TimedPath
 from coopqp.planning.check import PathCheck
 from coopqp.planning.planner import Plan, plan
 from coopqp.spatial import Array
+
+#: Numbers of knots that are tried where the timing fails numerically.
+_KNOTS = (350, 530)
 
 
 class RouteVerdict(enum.Enum):
@@ -64,14 +68,19 @@ class Route:
 
         Raises:
             InvalidInputError: there is no way.
-            UnreachableError, MissingExtraError: as for :func:`plan`.
+            UnreachableError, UndecidedError, MissingExtraError: as for :func:`plan`.
         """
-        from coopqp.errors import InvalidInputError
-
         if self.path is None or self.check is None:
             raise InvalidInputError("there is no way", "Route.timed", "Ask whether it is `found` before.")
-        check = self.check
-        return plan(check.cell, check.grasp, self.path, q_start=check.q_start, scene=check.scene, **options)
+        check, path = self.check, self.path
+        for knots in (options.pop("knots", None), *_KNOTS):
+            try:
+                return plan(
+                    check.cell, check.grasp, path, q_start=check.q_start, scene=check.scene, knots=knots, **options
+                )
+            except UndecidedError as error:
+                failed = error  # of the numbers: with other knots it succeeds mostly
+        raise failed
 
     def explain(self) -> str:
         """The answer in sentences."""

@@ -135,7 +135,8 @@ class Search:
     def _turned(self, R: Array, power: float) -> Array:
         """A rotation turned about a random axis by a random angle."""
         axis, angle = self._rng.normal(size=3), np.pi * self._rng.random() ** power
-        return R @ np.asarray(pin.exp3(angle / size_of(axis) * axis))
+        out: Array = R @ np.asarray(pin.exp3(angle / size_of(axis) * axis))
+        return out
 
     def _sample(self) -> Pose:
         """A random pose in the region, turned from one between start and goal."""

@@ -1,35 +1,21 @@
-"""A way made shorter, and its corners rounded off."""
+"""A way made shorter: straight from one of its points to another wherever that is free."""
 
 from __future__ import annotations
 
 import itertools
-import math
 import time
-from collections.abc import Sequence
 
 import numpy as np
 
-from coopqp.native.constants import TURN_LENGTH
-from coopqp.paths.geometry import PathGeometry, Straight, blended
 from coopqp.planning.route.edges import Edges
-from coopqp.planning.route.tree import STEP, Node, Pose, between, distance, length_of, part_of, straight
-from coopqp.spatial import Array
+from coopqp.planning.route.tree import Node, Pose, distance, part_of, straight
 
 #: Shortcuts that are tried, and tries in a row without a gain after which no more are.
-_TRIES, _IN_VAIN = 400, 60
+_TRIES, _IN_VAIN = 150, 25
 #: A shortcut gains at least this share of the length.
 _GAIN = 1e-3
 #: Joint positions that differ by less are the same [rad or m].
 _SAME = 1e-6
-#: A corner with less deviation is not rounded off [m].
-_LEAST_DEVIATION = 1e-3
-#: Twists of the same direction within this make no corner.
-_STRAIGHT = 1e-6
-
-
-def length_along(way: Sequence[Node]) -> float:
-    """Length of a way [m]."""
-    return sum(distance(a.pose, b.pose) for a, b in itertools.pairwise(way))
 
 
 def shortened(edges: Edges, way: list[Node], rng: np.random.Generator, until: float) -> list[Node]:
@@ -100,73 +86,3 @@ def _replaced(edges: Edges, way: list[Node], i: int, a: Pose, j: int, b: Pose) -
         if np.abs(new[-1].x - node.x).max() < _SAME:
             return new + rest[k + 1 :]
     return new
-
-
-def lines_of(way: Sequence[Node]) -> list[Straight]:
-    """Straight lines along a way: nodes on a line are left out."""
-    lines: list[Straight] = []
-    corner, last = way[0].pose, way[0].pose
-    for node in way[1:]:
-        if distance(last, node.pose) <= 1e-9:
-            continue
-        if last is not corner and _bends(corner, last, node.pose):
-            lines.append(_line(corner, last))
-            corner = last
-        last = node.pose
-    if last is not corner:
-        lines.append(_line(corner, last))
-    return lines
-
-
-def _bends(a: Pose, b: Pose, c: Pose) -> bool:
-    """Whether b is off the straight edge from a to c."""
-    share = distance(a, b) / max(distance(a, b) + distance(b, c), 1e-12)
-    return distance(part_of(a, c, share), b) > _STRAIGHT
-
-
-def _line(a: Pose, b: Pose) -> Straight:
-    way, turn = between(a, b)
-    return Straight(a.R, a.p, turn, way, length_of(way, turn))
-
-
-def rounded(edges: Edges, start: Node, lines: Sequence[Straight], deviation: float) -> PathGeometry:
-    """Lines with corners rounded off as far as it is free.
-
-    Args:
-        edges: walks of the arms.
-        start: where they start.
-        lines: the lines.
-        deviation: largest deviation at a corner [m], and over 0.3 m its angle. Where the way stops, that of the nearest
-            corner is halved.
-    """
-    limits = np.full(max(len(lines) - 1, 0), deviation)
-    corners = np.array([line.p + line.way for line in lines[:-1]])
-    while True:
-        geometry = blended(lines, distance=limits, angle=limits / TURN_LENGTH)
-        nodes, complete = along(edges, start, geometry)
-        if complete or not limits.any():
-            return geometry
-        open_ = np.flatnonzero(limits > 0.0)
-        k = open_[int(np.linalg.norm(corners[open_] - nodes[-1].pose.p, axis=1).argmin())]
-        limits[k] = 0.5 * limits[k] if limits[k] > _LEAST_DEVIATION else 0.0
-
-
-def along(edges: Edges, start: Node, geometry: PathGeometry) -> tuple[list[Node], bool]:
-    """Nodes along a geometry as far as it is free, and whether all of it is."""
-    rows: list[Array] = []
-    motion: list[Array] = []
-    for piece in geometry.pieces:
-        count = max(math.ceil(piece.length / STEP), 4)
-        s = np.linspace(0.0, piece.length, count + 1)
-        R, p = piece.poses(s)
-        bounds = piece.bounds(s[:-1], s[1:])
-        assert bounds is not None
-        motion.append(np.column_stack([bounds.way, bounds.turn]) * np.diff(s)[:, None])
-        rows.append(np.hstack([R.reshape(-1, 9), p])[0 if not rows else 1 :])
-    poses = np.ascontiguousarray(np.vstack(rows))
-    found = edges.walk(poses, np.ascontiguousarray(np.vstack(motion)), start.x, start.rooms)
-    nodes = [
-        Node(Pose(row[9:], row[:9].reshape(3, 3)), x, rooms)
-        for row, x, rooms in zip(poses, found.positions, found.rooms, strict=False)
-    ]
-    return nodes, len(nodes) == len(poses)
