@@ -12,7 +12,7 @@ import pinocchio as pin
 
 from coopqp import CollisionScene, Grasp, LinePath, RobotCell, inverse_kinematics
 from coopqp.collision import Body, Box, Capsule
-from coopqp.scenarios import Scenario, panda_bar, paper_lift, ring, robot_arm
+from coopqp.scenarios import Scenario, panda_bar, paper_lift, random_posts, ring, robot_arm
 from coopqp.spatial import Array
 
 #: Acceleration limit of joints without one, for the duration of a way [rad/s²].
@@ -135,3 +135,27 @@ PROBLEMS: dict[str, Callable[[], Problem]] = {
     "slot": slot,
     "peg8": lambda: peg(8),
 }
+
+
+def random_scene(seed: int) -> Problem:
+    """Two to eight arms among three random posts, and a random goal: there may be no way, or a straight one."""
+    arms = (2, 3, 4)[seed % 3]
+    task = random_posts(seed, arms=arms, posts=3)
+    rng = np.random.default_rng(seed)
+    start = task.path.pose(0.0)
+    goal = pin.SE3(start.rotation @ pin.exp3(rng.uniform(-0.3, 0.3, 3)), start.translation + rng.uniform(-0.2, 0.2, 3))
+    return _problem(task, start, goal, task.obstacles)
+
+
+def impossible() -> dict[str, Problem]:
+    """Goals that are impossible: inside a body, and out of reach; and a start inside a margin."""
+    inside = pillar()
+    far = posts3()
+    block = Body("block", Box((0.1, 0.1, 0.1)), inside.start)
+    return {
+        "goal inside the pillar": inside._replace(goal=_at((0.0, 0.0, 0.3))),
+        "goal out of reach": far._replace(goal=far.goal * _at((0.0, 0.0, 2.0))),
+        "start inside a block": inside._replace(
+            scene=CollisionScene(cell=inside.cell, grasp=inside.grasp, carried=inside.scene.carried, obstacles=[block])
+        ),
+    }

@@ -17,7 +17,7 @@ from coopqp.collision.edges_plain import PlainEdges
 from coopqp.model.batch import ArmKinematics
 from coopqp.model.inverse_kinematics import inverse_kinematics
 from coopqp.native import compiled
-from coopqp.planning import PathVerdict, Route, RouteVerdict
+from coopqp.planning import ArmGoal, FreeTurn, PathVerdict, Route, RouteVerdict, TurnedGoal
 from coopqp.planning.route.edges import EdgeLimits, limits_with
 from coopqp.planning.route.tree import STEP, Pose, distance
 from coopqp.scenarios import dual_arm7
@@ -28,7 +28,7 @@ NODES = 600
 
 def search(problem: route_cases.Problem, **options: Any) -> Route:
     cell, grasp, start, goal, scene, q_start = problem
-    return find_path(cell, grasp, start, goal, scene, **{"q_start": q_start, "nodes": NODES, **options})
+    return find_path(cell, grasp, start, scene=scene, **{"goal": goal, "q_start": q_start, "nodes": NODES, **options})
 
 
 @pytest.fixture(scope="module")
@@ -143,6 +143,51 @@ def test_a_start_inside_a_margin_is_named() -> None:
     route = search(problem)
     assert route.verdict is RouteVerdict.INFEASIBLE
     assert route.reason.startswith("The start is impossible: object and block")
+
+
+def test_of_several_goals_one_that_is_impossible_is_left_out(posts: tuple[route_cases.Problem, Route]) -> None:
+    problem = posts[0]
+    route = search(problem, goal=[problem.goal * pin.SE3(np.eye(3), np.array([0.0, 0.0, 3.0])), problem.goal])
+    assert route.verdict is RouteVerdict.FOUND
+    assert route.path is not None
+    np.testing.assert_allclose(route.path.pose(route.path.duration).translation, problem.goal.translation, atol=1e-9)
+
+
+def test_a_goal_may_leave_a_turn_free() -> None:
+    problem = over_a_post()
+    goal = TurnedGoal(problem.goal, [FreeTurn("rx", -0.2, 0.2)])
+    route = search(problem, goal=goal)
+    assert route.found
+    assert route.path is not None
+    end = route.path.pose(route.path.duration)
+    np.testing.assert_allclose(end.translation, problem.goal.translation, atol=1e-9)
+    turn = pin.log3(problem.goal.rotation.T @ end.rotation)
+    assert abs(turn[0]) <= 0.2 + 1e-9
+    np.testing.assert_allclose(turn[1:], 0.0, atol=1e-9)
+    with pytest.raises(InvalidInputError, match="low is above high"):
+        FreeTurn("rx", 0.2, -0.2)
+
+
+def test_joint_positions_of_one_arm_are_a_goal(posts: tuple[route_cases.Problem, Route]) -> None:
+    problem, known = posts
+    assert known.joints is not None
+    own = problem.cell.v_slices[1]
+    q = known.joints[-1, own]
+    route = search(problem, goal=ArmGoal("slave_1", q))
+    assert route.verdict is RouteVerdict.FOUND
+    assert route.joints is not None
+    np.testing.assert_allclose(route.joints[-1, own], q, atol=1e-6)
+    outside = search(problem, goal=ArmGoal("slave_1", q + 10.0))
+    assert outside.verdict is RouteVerdict.INFEASIBLE
+    assert "arm slave_1" in outside.reason
+
+
+def test_who_watches_can_end_the_search() -> None:
+    asked: list[int] = []
+    problem = two_arms([Body("wall", Box((0.3, 0.03, 2.0)), pin.SE3.Identity())])
+    route = search(problem, nodes=None, watch=lambda nodes: asked.append(nodes) or len(asked) > 5)
+    assert route.verdict is RouteVerdict.NOT_FOUND
+    assert len(asked) == 6
 
 
 def test_clearance_is_kept_beyond_the_margins(posts: tuple[route_cases.Problem, Route]) -> None:

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import heapq
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 import pinocchio as pin
 
 from coopqp.model.batch import ArmKinematics
-from coopqp.model.branches import Branches, all_turns, amount, find_branches
+from coopqp.model.branches import AT_LIMIT, Branches, all_turns, amount, find_branches
 from coopqp.model.cell import RobotCell
 from coopqp.model.grasp import Grasp
 from coopqp.native.constants import SMALL_CLEARANCE
@@ -32,12 +32,19 @@ class Ends:
         rooms: rooms of all pairs there (M, P) [m].
         why: why there are none, naming the arm and the limit, or the pair; empty if there are.
         proved: whether there are none at all, and not only among those that were tried.
+        object_alone: whether the object alone is the reason, whatever the arms do.
     """
 
     x: Array
     rooms: Array
     why: str = ""
     proved: bool = True
+    object_alone: bool = False
+
+
+def _none(cell: RobotCell, why: str, *, proved: bool = True, object_alone: bool = False) -> Ends:
+    """No ends, and why."""
+    return Ends(np.empty((0, cell.nv)), np.empty((0, 0)), why, proved, object_alone)
 
 
 def ends_at(
@@ -49,6 +56,7 @@ def ends_at(
     edges: Edges,
     *,
     near: Array | None = None,
+    given: Mapping[int, Array] | None = None,
 ) -> Ends:
     """Find the ends at a pose.
 
@@ -57,9 +65,11 @@ def ends_at(
         T_world_object: the pose.
         scene, edges: the bodies.
         near: joint positions (nv,) to which the ends are near; None for ends far from the joints' limits.
+        given: positions of arms, by their numbers, that these have there [rad or m].
     """
-    quick = _ends(cell, arms, grasp, T_world_object, scene, edges, near, quick=True)
-    return quick if len(quick.x) else _ends(cell, arms, grasp, T_world_object, scene, edges, near, quick=False)
+    task = cell, arms, grasp, T_world_object, scene, edges, near, given or {}
+    found = _ends(*task, quick=True)
+    return found if len(found.x) or found.object_alone else _ends(*task, quick=False)
 
 
 def _ends(
@@ -70,16 +80,23 @@ def _ends(
     scene: SearchedBodies,
     edges: Edges,
     near: Array | None,
+    given: Mapping[int, Array],
     *,
     quick: bool,
 ) -> Ends:
     """The ends among all branches of each arm, or among those that a quick look finds."""
     columns, options = columns_of(cell, arms), []
-    for arm, own, X in zip(arms, columns, grasp.T_object_tool, strict=True):
+    for k, q in given.items():
+        if arms[k].margins(q).min() < -AT_LIMIT:
+            return _none(cell, f"arm {arms[k].arm.name} is outside its limits at the positions that are given")
+    for k, (arm, own, X) in enumerate(zip(arms, columns, grasp.T_object_tool, strict=True)):
+        if k in given:
+            options.append([(0.0, given[k])])
+            continue
         found = find_branches(arm, T_world_object * X, near=None if near is None else near[None, own], quick=quick)
         choices = _choices(arm, found, None if near is None else near[own])
         if not choices:
-            return Ends(np.empty((0, cell.nv)), np.empty((0, 0)), _no_branch(arm, found))
+            return _none(cell, _no_branch(arm, found))
         options.append(choices)
     rest = np.clip(np.zeros(cell.nv), cell.limits.lower, cell.limits.upper) if near is None else near
     x: list[Array] = []
@@ -107,7 +124,7 @@ def _ends(
     assert blocked is not None
     first, second = scene.labels[blocked]
     if object_alone[blocked]:
-        return Ends(np.empty((0, cell.nv)), np.empty((0, 0)), f"{first} and {second} come inside their margin")
+        return _none(cell, f"{first} and {second} come inside their margin", object_alone=True)
     why = f"{first} and {second} come inside their margin"
     return _clear_of_all(cell, arms, scene, edges, columns, options, rest, why)
 
@@ -165,7 +182,7 @@ def _clear_of_all(
     choice = scene.clear_choice(ways)
     if choice is None:
         sampled = any(arm.n > 6 or len(own) == _MOST_OPTIONS for arm, own in zip(arms, options, strict=True))
-        return Ends(np.empty((0, cell.nv)), np.empty((0, 0)), f"{why}, in every combination of branches", not sampled)
+        return _none(cell, f"{why}, in every combination of branches", proved=not sampled)
     row = rest.copy()
     for own, way, i in zip(cell.v_slices, ways, choice, strict=True):
         row[own] = way[i, 0]

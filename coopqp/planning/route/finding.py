@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import time
 from collections import Counter
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 from typing import final
 
 import numpy as np
@@ -24,6 +24,7 @@ from coopqp.planning.clearance_check import check_scene
 from coopqp.planning.planner import some_timing
 from coopqp.planning.route.edges import SPARE, EdgeLimits, Edges, SearchedBodies, Stop, columns_of, limits_with
 from coopqp.planning.route.ends import Ends, ends_at
+from coopqp.planning.route.goals import ArmGoal, GoalPose, TurnedGoal, goal_poses
 from coopqp.planning.route.route import Route, RouteVerdict
 from coopqp.planning.route.search import Search, Searched, SearchLimits, SearchResult
 from coopqp.planning.route.shape import WIDEST, Shape, corners_of, faster, shaped
@@ -37,6 +38,8 @@ _BELOW, _ABOVE = 0.3, 0.4
 #: Time to make a way shorter and faster [s]; other ways that are searched, and nodes of such a search, besides twice
 #: those of the first.
 _BETTERING, _OTHERS, _OTHER_NODES = 0.45, 5, 100
+#: Poses of a goal, of those from which the arms hold the object, that the search leads to.
+_MOST_GOALS = 3
 #: Ways that are searched until one is proved.
 _MOST_WAYS = 4
 #: A given start whose joints are further from ones that hold the object is refused [rad or m].
@@ -51,7 +54,7 @@ def find_path(
     cell: RobotCell,
     grasp: Grasp,
     start: Placement,
-    goal: Placement,
+    goal: Placement | Sequence[Placement] | TurnedGoal | ArmGoal,
     scene: SearchedBodies,
     *,
     q_start: ArrayLike | None = None,
@@ -60,6 +63,7 @@ def find_path(
     seed: int = 0,
     region: ArrayLike | None = None,
     clearance: float = 0.0,
+    watch: Callable[[int], bool | None] | None = None,
 ) -> Route:
     """Find a way of the object from one pose to another that all arms can follow, clear of all bodies, and prove it.
 
@@ -68,7 +72,9 @@ def find_path(
 
     Args:
         cell, grasp: the arms, and how they hold the object.
-        start, goal: poses of the object.
+        start: pose of the object.
+        goal: pose of the object; several of them; one with free turns (:class:`coopqp.planning.TurnedGoal`); or joint
+            positions of one arm, which give it (:class:`coopqp.planning.ArmGoal`).
         scene: the bodies that keep distances, a :class:`coopqp.CollisionScene` of the same cell.
         q_start: configuration at the start (nq,); found by default.
         nodes: number of poses in the trees that ends the search, samples that lead to none included. A search that
@@ -78,6 +84,8 @@ def find_path(
         region: lowest and highest origin of the object (2, 3) [m]; by default from 0.3 m below start and goal to 0.4 m
             above them, in every direction.
         clearance: distance that is kept beyond the scene's margins [m].
+        watch: is told the number of poses in the trees now and then; a true answer ends the search. A way that was
+            found by then is rounded and proved.
 
     Raises:
         InvalidInputError: bad arguments, or a start that does not hold the object at its pose.
@@ -88,29 +96,34 @@ def find_path(
     check_scene(cell, scene, f"{where}: scene")
     if scene is None:
         raise InvalidInputError("no scene", f"{where}: scene", "Give a CollisionScene; without bodies use check_path.")
-    ends = as_placement(start, f"{where}: start"), as_placement(goal, f"{where}: goal")
+    T_start = as_placement(start, f"{where}: start")
+    arms = [ArmKinematics(arm) for arm in cell.arms]
+    goals, all_of_them = goal_poses(goal, cell, grasp, arms, T_start)
     limits = _Limits(
         nodes=None if nodes is None else as_count(nodes, f"{where}: nodes"),
         until=began + as_scalar(time_limit, f"{where}: time_limit"),
         shortens=nodes is None,
+        watch=watch,
     )
-    bounds = _region(region, ends, f"{where}: region")
+    bounds = _region(region, [T_start, *(pose.T for pose in goals)], f"{where}: region")
     clearance = as_scalar(clearance, f"{where}: clearance", open_low=False)
     scene = scene.widened(clearance) if clearance > 0.0 else scene
     given = None if q_start is None else cell.check_configuration(q_start, f"{where}: q_start")
-    return _Finding(cell, grasp, scene, began, limits, bounds, np.random.default_rng(seed)).route(*ends, given)
+    finding = _Finding(cell, grasp, arms, scene, began, limits, bounds, np.random.default_rng(seed))
+    return finding.route(T_start, goals, given, all_of_them=all_of_them)
 
 
 @dataclass(frozen=True, kw_only=True)
 class _Limits:
-    """What ends the search: a number of nodes, or the clock; and whether the clock ends the shortcuts, too."""
+    """What ends the search: a number of nodes, the clock or who watches; and whether the clock ends shortcuts, too."""
 
     nodes: int | None
     until: float
     shortens: bool
+    watch: Callable[[int], bool | None] | None
 
 
-def _region(region: ArrayLike | None, ends: tuple[pin.SE3, pin.SE3], where: str) -> Array:
+def _region(region: ArrayLike | None, ends: Sequence[pin.SE3], where: str) -> Array:
     """Lowest and highest origin (2, 3) [m]."""
     p = np.array([T.translation for T in ends])
     if region is None:
@@ -137,6 +150,7 @@ class _Finding:
         self,
         cell: RobotCell,
         grasp: Grasp,
+        arms: list[ArmKinematics],
         scene: SearchedBodies,
         began: float,
         limits: _Limits,
@@ -145,26 +159,38 @@ class _Finding:
     ) -> None:
         self._cell, self._grasp, self._scene = cell, grasp, scene
         self._began, self._limits, self._region, self._rng = began, limits, region, rng
-        self._arms = [ArmKinematics(arm) for arm in cell.arms]
+        self._arms = arms
         required, _ = scene.required_at(np.empty((0, cell.nv)))
         anywhere = np.full(cell.nv, np.inf)
         self._kept = EdgeLimits(-anywhere, anywhere, required.copy(), np.full(len(required), SPARE))
+        self._refused: list[str] = []
         self._edges: Edges = scene.edges(self._arms, grasp, self._kept)
 
-    def route(self, start: pin.SE3, goal: pin.SE3, q_start: Array | None) -> Route:
-        """The answer."""
+    def route(self, start: pin.SE3, poses: Sequence[GoalPose], q_start: Array | None, *, all_of_them: bool) -> Route:
+        """The answer; ``all_of_them``: no other pose is a goal."""
         starts = self._starts(start, q_start)
         if not len(starts.x):
             return self._no_end(starts, "start")
-        goals = ends_at(self._cell, self._arms, self._grasp, goal, self._scene, self._edges, near=starts.x[0])
-        if not len(goals.x):
-            return self._no_end(goals, "goal")
-        self._keep(starts, goals)
-        roots = [
-            [Node(Pose.of(T), *row) for row in zip(e.x, e.rooms, strict=False)]
-            for T, e in ((start, starts), (goal, goals))
-        ]
-        return self._between(*roots)
+        goals: list[tuple[pin.SE3, Ends]] = []
+        failed: list[Ends] = []
+        for pose in poses:
+            given = {} if pose.positions is None else {pose.arm: pose.positions}
+            found = ends_at(
+                self._cell, self._arms, self._grasp, pose.T, self._scene, self._edges, near=starts.x[0], given=given
+            )
+            if len(found.x):
+                goals.append((pose.T, found))
+            else:
+                failed.append(found)
+            if len(goals) == _MOST_GOALS:
+                break
+        if not goals:
+            proved = all_of_them and all(found.proved for found in failed)
+            return self._no_end(replace(failed[0], proved=proved), "goal")
+        self._keep([starts, *(found for _, found in goals)])
+        roots = [Node(Pose.of(start), *row) for row in zip(starts.x, starts.rooms, strict=True)]
+        ends = [Node(Pose.of(T), *row) for T, found in goals for row in zip(found.x, found.rooms, strict=True)]
+        return self._between(roots, ends)
 
     def _starts(self, start: pin.SE3, q_start: Array | None) -> Ends:
         if q_start is None:
@@ -186,10 +212,10 @@ class _Finding:
             return Ends(np.empty((0, self._cell.nv)), rooms[None][:0], f"{first} and {second} come inside their margin")
         return Ends(exact[None], rooms[None])
 
-    def _keep(self, starts: Ends, goals: Ends) -> None:
+    def _keep(self, ends: Sequence[Ends]) -> None:
         """Limits of the edges: ends may be closer to a limit, or to a body, than the way between them gets."""
-        kept = limits_with(self._cell, np.vstack([starts.x, goals.x]), self._kept.required)
-        rooms = np.vstack([starts.rooms, goals.rooms]).min(axis=0)
+        kept = limits_with(self._cell, np.vstack([found.x for found in ends]), self._kept.required)
+        rooms = np.vstack([found.rooms for found in ends]).min(axis=0)
         self._kept.lower[:], self._kept.upper[:] = kept.lower, kept.upper
         self._kept.spare[:] = np.clip(rooms - _ROUNDING, -_ROUNDING, SPARE)
 
@@ -217,7 +243,8 @@ class _Finding:
         search = Search(task, starts, goals, self._rng)
         result = search.result
         for _ in range(_MOST_WAYS):
-            result = search.run(SearchLimits(nodes=self._limits.nodes, until=self._limits.until))
+            own = self._limits
+            result = search.run(SearchLimits(nodes=own.nodes, until=own.until, watch=own.watch))
             if not result.way:
                 break
             first = time.perf_counter() - self._began
@@ -237,7 +264,7 @@ class _Finding:
             if time.perf_counter() > until - 0.6 * _BETTERING:
                 break
             other = Search(task, starts, goals, self._rng)
-            limits = SearchLimits(nodes=_OTHER_NODES + 2 * result.nodes, until=until)
+            limits = SearchLimits(nodes=_OTHER_NODES + 2 * result.nodes, until=until, watch=self._limits.watch)
             if way := other.run(limits).way:
                 shapes.append(self._shape(shortened(self._edges, way, self._rng, until), WIDEST))
         free = sorted((shape for shape in shapes if shape is not None), key=lambda shape: shape.duration)
@@ -277,7 +304,9 @@ class _Finding:
                         trees=() if result is None else tuple(map(_edges_of, result.trees)),
                         joints=np.array([node.x for node in shape.nodes]),
                         poses=np.array([node.pose.row() for node in shape.nodes]),
+                        refused=tuple(self._refused),
                     )
+                self._refused.append(check.verdict.value)
                 if len(shape.poses) < 3:
                     break
         return None
@@ -299,6 +328,7 @@ class _Finding:
             first_s=spent,
             total_s=spent,
             trees=tuple(map(_edges_of, result.trees)),
+            refused=tuple(self._refused),
         )
 
     def _blame(self, stops: Counter[Stop]) -> str:

@@ -42,8 +42,9 @@ class Route:
         first_s: time until a way without contact was found, or none was [s].
         total_s: time until it was shortened, rounded and proved [s].
         trees: origins of the object along the edges of both trees (E, 2, 3) [m], for pictures.
-        joints: joint positions along the way (K, nv) [rad or m], and the poses' origins are those of ``poses``.
-        poses: poses of the object along the way, K rows of R (9), p (3).
+        joints: joint positions along the way (K, nv) [rad or m]; None if there is none.
+        poses: poses of the object there, rows of R (9), p (3): (K, 12).
+        refused: verdicts of the check on ways that were searched and not proved.
     """
 
     verdict: RouteVerdict
@@ -57,6 +58,7 @@ class Route:
     trees: tuple[Array, ...] = ()
     joints: Array | None = None
     poses: Array | None = None
+    refused: tuple[str, ...] = ()
 
     @property
     def found(self) -> bool:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from typing import final
 
@@ -34,10 +34,12 @@ class SearchLimits:
     Attributes:
         nodes: number of nodes of both trees, samples that lead to none included; None for any.
         until: :func:`time.perf_counter` then [s].
+        watch: is told the number of nodes now and then; a true answer ends the search. None: nobody watches.
     """
 
     nodes: int | None
     until: float
+    watch: Callable[[int], bool | None] | None = None
 
 
 @dataclass(eq=False)
@@ -125,6 +127,8 @@ class Search:
 
     def _is_over(self, limits: SearchLimits) -> bool:
         if limits.nodes is not None and self.result.nodes + self.result.tried >= limits.nodes:
+            return True
+        if limits.watch is not None and limits.watch(self.result.nodes):
             return True
         return time.perf_counter() >= limits.until
 
