@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from pathlib import Path
 
+import numpy as np
 import ompl_routes
 import pytest
 import route_cases
@@ -36,5 +37,5 @@ def test_the_records_have_their_keys_and_the_peer_is_named_where_it_is_left_out(
 
 def far(T: object) -> object:
     moved = T.copy()  # type: ignore[attr-defined]
-    moved.translation = moved.translation + [0.0, 0.0, 3.0]
+    moved.translation += np.array([0.0, 0.0, 3.0])
     return moved
