@@ -6,7 +6,7 @@ before. Random scenes follow, and starts and goals that are impossible. See benc
 
 from __future__ import annotations
 
-import time
+import json
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
@@ -18,7 +18,7 @@ from route_cases import PROBLEMS, Problem, impossible, random_scene
 
 from coopqp import find_path
 from coopqp.errors import CoopqpError
-from coopqp.planning import Route, RouteVerdict
+from coopqp.planning import Route
 
 KEYS = (
     "problem", "seed", "engine", "found", "first_s", "total_s", "length_m", "check", "duration_s", "clearance_mm",
@@ -63,43 +63,48 @@ def duration(route: Route) -> float | None:
         return None
 
 
-def problems(plan: Plan, progress: common.Progress) -> Iterator[Record]:
-    """Every problem with every seed."""
-    for name, make in PROBLEMS.items():
-        problem = make()
-        for seed in range(plan.seeds):
+def problems(plan: Plan, names: Sequence[str], seeds: Sequence[int], progress: common.Progress) -> Iterator[Record]:
+    """Problems with every seed."""
+    for name in names:
+        problem = PROBLEMS[name]()
+        for seed in seeds:
             progress.advance(name)
             record, route = searched(name, seed, problem, plan.time_limit)
             yield record | {"duration_s": duration(route)}
 
 
-def scenes(plan: Plan, progress: common.Progress) -> Iterator[Record]:
-    """Random scenes: what is refused there is refused by the proof."""
-    for seed in range(plan.scenes):
+def scenes(plan: Plan, numbers: Sequence[int], progress: common.Progress) -> Iterator[Record]:
+    """Random scenes; a way that the proof refutes makes the check of its record INFEASIBLE."""
+    for seed in numbers:
         progress.advance("random")
         record, route = searched("random", seed, random_scene(seed), plan.time_limit)
-        refuted = route.refused.count("INFEASIBLE")
-        yield record | ({"check": "INFEASIBLE"} if refuted else {})
+        yield record | ({"check": "INFEASIBLE"} if "INFEASIBLE" in route.refused else {})
 
 
 def impossibles(progress: common.Progress) -> Iterator[Record]:
     """Starts and goals that are impossible: the time until that is said."""
     for name, problem in impossible().items():
         progress.advance(name)
-        began = time.perf_counter()
-        record, route = searched(name, 0, problem, 10.0)
-        yield record | {"first_s": time.perf_counter() - began, "found": route.verdict is not RouteVerdict.INFEASIBLE}
+        record, _ = searched(name, 0, problem, 10.0)
+        yield record
 
 
-def run(plan: Plan, progress: common.Progress) -> list[Record]:
-    """All records."""
-    records = [*problems(plan, progress), *scenes(plan, progress), *impossibles(progress)]
-    for name, make in PROBLEMS.items():
-        problem = make()
-        for seed in range(plan.peer_seeds if ompl_routes.available() else 0):
+def peers(plan: Plan, progress: common.Progress) -> Iterator[Record]:
+    """OMPL on every problem; nothing where it is not installed."""
+    for name in PROBLEMS if ompl_routes.available() else ():
+        problem = PROBLEMS[name]()
+        for seed in range(plan.peer_seeds):
             progress.advance(f"ompl, {name}")
-            records += [dict.fromkeys(KEYS) | row for row in ompl_routes.rows(name, seed, problem, plan.time_limit)]
-    return records
+            for row in ompl_routes.rows(name, seed, problem, plan.time_limit):
+                yield dict.fromkeys(KEYS) | row
+
+
+def part_of(record: Record) -> str:
+    """The part of the benchmark that makes a record."""
+    if record["engine"] != "coopqp":
+        return "ompl"
+    name = str(record["problem"])
+    return name if name in (*PROBLEMS, "random") else "impossible"
 
 
 def report(records: Sequence[Record]) -> str:
@@ -115,7 +120,7 @@ def report(records: Sequence[Record]) -> str:
                 "engine": engine,
                 "found": f"{sum(r['found'] for r in own)}/{len(own)}",
                 "certified": f"{sum(r['check'] == 'CERTIFIED' for r in own)}/{len(own)}",
-                "refuted": sum(r["check"] == "INFEASIBLE" and r["found"] for r in own),
+                "refuted": sum(r["check"] == "INFEASIBLE" and r["length_m"] is not None for r in own),
                 "first 50/99/max [s]": "/".join(f"{x:.3f}" for x in np.percentile(first, [50, 99, 100])),
                 "total 50 [s]": float(np.median(total)),
                 "length 50 [m]": _median(r["length_m"] for r in own),
@@ -137,12 +142,33 @@ def _median(values: object) -> float | None:
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Command line."""
-    args = common.arguments(__doc__.partition("\n")[0] if __doc__ else "").parse_args(argv)
+    parser = common.arguments(__doc__.partition("\n")[0] if __doc__ else "")
+    parts = [*PROBLEMS, "random", "impossible", "ompl"]
+    parser.add_argument(
+        "--case", nargs="+", choices=parts, default=parts, help="parts to run (all); the others in --json FILE are kept"
+    )
+    parser.add_argument(
+        "--seeds", nargs=2, type=int, metavar=("LOW", "HIGH"), help="seeds LOW … HIGH − 1 only; the others are kept"
+    )
+    args = parser.parse_args(argv)
     plan = QUICK if args.quick else FULL
     description = common.describe("routes", {"seeds": plan.seeds, "random scenes": plan.scenes})
     print(common.header(description), flush=True)
-    progress = common.Progress(len(PROBLEMS) * plan.seeds + plan.scenes + len(impossible()))
-    records = run(plan, progress)
+    kept = json.loads(args.json.read_text()) if args.json is not None and args.json.is_file() else []
+    if any(set(record) != set(KEYS) for record in kept):
+        parser.error(f"{args.json} holds records of something else: give another file")
+    names = [name for name in PROBLEMS if name in args.case]
+    progress = common.Progress(len(names) * plan.seeds + plan.scenes * ("random" in args.case))
+    seeds, numbers = (range(*(args.seeds or (0, most))) for most in (plan.seeds, plan.scenes))
+    again = {(name, seed) for name in names for seed in seeds} | {("random", seed) for seed in numbers}
+    again -= set() if "random" in args.case else {("random", seed) for seed in numbers}
+    whole = {"impossible", "ompl"} & {*args.case}
+    records = [r for r in kept if part_of(r) not in whole and (part_of(r), r["seed"]) not in again]
+    records += problems(plan, names, seeds, progress)
+    records += scenes(plan, numbers, progress) if "random" in args.case else []
+    records += impossibles(progress) if "impossible" in args.case else []
+    records += peers(plan, progress) if "ompl" in args.case else []
+    records.sort(key=lambda r: (parts.index(part_of(r)), r["engine"], r["seed"]))
     progress.close()
     print("\n" + report(records))
     files = {"routes.md": report(records).encode()} if args.out is not None else None
