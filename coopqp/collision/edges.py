@@ -45,6 +45,8 @@ def edges_of(
 class _CompiledEdges:
     """See :class:`coopqp.planning.route.edges.Edges`."""
 
+    effort = 1.0
+
     def __init__(
         self,
         kernel: Any,

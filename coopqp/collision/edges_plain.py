@@ -41,6 +41,8 @@ class PlainEdges:
         limits: what the edges keep.
     """
 
+    effort = 0.05
+
     def __init__(self, built: BuiltScene, arms: Sequence[ArmKinematics], grasp: Grasp, limits: EdgeLimits) -> None:
         self._built, self._arms, self._limits = built, tuple(arms), limits
         self._columns = columns_of(built.cell, arms)

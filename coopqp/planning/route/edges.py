@@ -68,7 +68,13 @@ class Walked(NamedTuple):
 
 
 class Edges(Protocol):
-    """Walks of all arms along poses of the object that keep limits and distances, between the poses, too."""
+    """Walks of all arms along poses of the object that keep limits and distances, between the poses, too.
+
+    Attributes:
+        effort: share of the tries to make a way shorter and faster that walks as slow as these leave time for.
+    """
+
+    effort: float
 
     def walk(self, poses: Array, motion: Array, x: Array, rooms: Array) -> Walked:
         """Walk as far as everything is kept.

@@ -260,7 +260,7 @@ class _Finding:
         """Shapes of the way and of some others, each shortened, the fastest first; that one is made faster still."""
         until = time.perf_counter() + _BETTERING if self._limits.shortens else np.inf
         shapes = [self._shape(shortened(self._edges, result.way, self._rng, until), WIDEST)]
-        for _ in range(_OTHERS):
+        for _ in range(int(self._edges.effort * _OTHERS)):
             if time.perf_counter() > until - 0.6 * _BETTERING:
                 break
             other = Search(task, starts, goals, self._rng)

@@ -103,7 +103,7 @@ def faster(edges: Edges, limits: JointLimits, shape: Shape, rng: np.random.Gener
         rng: random numbers.
         until: :func:`time.perf_counter` when no more is tried [s].
     """
-    for size in np.geomspace(*_SIZES, _CHANGES):
+    for size in np.geomspace(*_SIZES, math.ceil(edges.effort * _CHANGES)):
         if len(shape.poses) < 3 or time.perf_counter() >= until:
             break
         poses, deviations = list(shape.poses), shape.deviations.copy()
