@@ -51,7 +51,7 @@ def _run_route(arguments: argparse.Namespace) -> int:
 
     require_readers()
     from coopqp.files.cellfile.build import load_search
-    from coopqp.files.cellfile.planned import timed_text
+    from coopqp.files.cellfile.write import timed_text
 
     check_new(arguments.out, arguments.json, force=arguments.force)
     given = {"time_limit": arguments.time, "seed": arguments.seed}

@@ -13,10 +13,11 @@ import pytest
 from coopqp import load_cell_file
 from coopqp.cli import main as cli
 from coopqp.files import CellFileError
+from coopqp.files.cellfile import example_path
 from coopqp.files.cellfile.searched import SearchTask
 from coopqp.planning import Route
 
-EXAMPLE = Path(__file__).parents[2] / "docs" / "examples" / "cells" / "bar_over_post.toml"
+EXAMPLE = example_path("bar_over_post")
 LINE = """kind = "line"
 start = { xyz_m = [0.0, -0.15, 0.30] }
 goal = { xyz_m = [0.0, 0.15, 0.30] }
