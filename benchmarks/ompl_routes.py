@@ -17,9 +17,11 @@ import pinocchio as pin
 from common import Record
 from route_cases import Problem
 
-from coopqp import WaypointPath, check_path, inverse_kinematics
-from coopqp.errors import UnreachableError
+from coopqp import WaypointPath, check_path
+from coopqp.model.batch import REACHED, ArmKinematics
 from coopqp.planning import PathVerdict
+from coopqp.planning.route.edges import EdgeLimits, columns_of
+from coopqp.planning.route.tree import Pose
 from coopqp.spatial import Array
 
 #: Names of the engines, and what to do where they are missing.
@@ -80,23 +82,28 @@ def rows(name: str, seed: int, problem: Problem, time_limit: float) -> Iterator[
 
 @final
 class _Holds:
-    """Whether all arms hold the object at a pose, inside their limits and clear of bodies."""
+    """Whether all arms hold the object at a pose, inside their limits and clear of bodies; compiled, as in coopqp."""
 
     def __init__(self, problem: Problem) -> None:
-        self._problem = problem
-        self._distances = problem.scene.distances
+        cell, self._grasp = problem.cell, problem.grasp
+        self._arms = [ArmKinematics(arm) for arm in cell.arms]
+        self._columns = columns_of(cell, self._arms)
+        self._x, self._limits = cell.positions(problem.q_start), cell.limits
+        required, _ = problem.scene.required_at(self._x[None])
+        kept = EdgeLimits(self._limits.lower, self._limits.upper, required, np.zeros(len(required)))
+        self._edges = problem.scene.edges(self._arms, self._grasp, kept)
 
     def __call__(self, T_world_object: pin.SE3) -> bool:
         """At a pose."""
-        problem = self._problem
-        try:
-            q = inverse_kinematics(problem.cell, problem.grasp, T_world_object, problem.q_start, limits=False)
-        except UnreachableError:
+        x = self._x.copy()
+        for arm, own, X in zip(self._arms, self._columns, self._grasp.T_object_tool, strict=True):
+            q, residual = arm.newton(Pose.of(T_world_object * X).row()[None], x[None, own])
+            if not residual[0] <= REACHED:
+                return False
+            x[own] = q[0]
+        if not ((x >= self._limits.lower) & (x <= self._limits.upper)).all():
             return False
-        x, limits = problem.cell.positions(q), problem.cell.limits
-        if not ((x >= limits.lower) & (x <= limits.upper)).all():
-            return False
-        return bool(self._distances(q)[0].distance >= problem.scene.margin)
+        return bool((self._edges.rooms(x) >= 0.0).all())
 
 
 def _pose(state: Any) -> pin.SE3:
@@ -106,11 +113,8 @@ def _pose(state: Any) -> pin.SE3:
 
 
 def _state(space: Any, T: pin.SE3) -> Any:
-    from ompl import base
-
-    state = base.ScopedState(space) if hasattr(base, "ScopedState") else base.State(space)
-    own = state() if callable(state) else state
-    own.setXYZ(*T.translation.tolist())
-    turn = pin.Quaternion(T.rotation)
-    own.rotation().x, own.rotation().y, own.rotation().z, own.rotation().w = turn.x, turn.y, turn.z, turn.w
+    state = space.allocState()
+    state.setXYZ(*T.translation.tolist())
+    turn, own = pin.Quaternion(T.rotation), state.rotation()
+    own.x, own.y, own.z, own.w = turn.x, turn.y, turn.z, turn.w
     return state

@@ -11,6 +11,8 @@ from coopqp.spatial import Array
 _STILL = 1e-9
 #: Share of an acceleration limit that bends of the joints' way use up, at most: the rest speeds up and slows down.
 _BEND_SHARE = 0.8
+#: Passes forwards and backwards.
+_PASSES = 2
 
 
 def estimated_duration(limits: JointLimits, s: Array, x: Array) -> float:
@@ -28,14 +30,21 @@ def estimated_duration(limits: JointLimits, s: Array, x: Array) -> float:
     steep = np.maximum(slope, _STILL)
     # Squares of the speed that the joints' speeds and bends allow at the samples.
     fastest = (limits.velocity / steep).min(axis=1) ** 2
-    square = np.minimum(np.append(fastest, 0.0), np.append(0.0, fastest))
-    square = np.minimum(square, (_BEND_SHARE * limits.acceleration / np.maximum(bend, _STILL)).min(axis=1))
-    square[0] = square[-1] = 0.0
-    for order in (range(len(ds)), range(len(ds) - 1, -1, -1)):
-        forwards = order.step > 0
-        for i in order:
-            at, to = (i, i + 1) if forwards else (i + 1, i)
-            left = (limits.acceleration - bend[at] * square[at]) / steep[i]
-            square[to] = min(square[to], square[at] + 2.0 * ds[i] * max(float(left.min()), 0.0))
+    caps = np.minimum(np.append(fastest, 0.0), np.append(0.0, fastest))
+    caps = np.minimum(caps, (_BEND_SHARE * limits.acceleration / np.maximum(bend, _STILL)).min(axis=1))
+    caps[0] = caps[-1] = 0.0
+    square = caps
+    for _ in range(_PASSES):  # what bends leave for speeding up depends on the speed of the pass before
+        left = limits.acceleration - bend * square[:, None]
+        ahead, back = ((part / steep).min(axis=1).clip(0.0) for part in (left[:-1], left[1:]))
+        square = _slowed(_slowed(caps, 2.0 * ds * ahead)[::-1], (2.0 * ds * back)[::-1])[::-1]
     speed = np.sqrt(square)
     return float((2.0 * ds / np.maximum(speed[1:] + speed[:-1], _STILL)).sum())
+
+
+def _slowed(caps: Array, rises: Array) -> Array:
+    """Squares (K,) up to the caps that rise from one to the next by no more than ``rises`` (K − 1,)."""
+    out = [float(caps[0])]
+    for cap, rise in zip(caps[1:].tolist(), rises.tolist(), strict=True):
+        out.append(min(cap, out[-1] + rise))
+    return np.array(out)
