@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -10,14 +11,16 @@ import pytest
 import route_cases
 from marks import slow_but_first
 
-from coopqp import CollisionScene, InvalidInputError, find_path
+from coopqp import CollisionScene, InvalidInputError, JointLimits, LinePath, find_path
 from coopqp.collision import Body, Box, Capsule
 from coopqp.collision.distances import Distances
 from coopqp.collision.edges_plain import PlainEdges
 from coopqp.model.batch import ArmKinematics
 from coopqp.model.inverse_kinematics import inverse_kinematics
 from coopqp.native import compiled
+from coopqp.paths.geometry import blended
 from coopqp.planning import ArmGoal, FreeTurn, PathVerdict, Route, RouteVerdict, TurnedGoal
+from coopqp.planning.route.duration import estimated_duration
 from coopqp.planning.route.edges import EdgeLimits, limits_with
 from coopqp.planning.route.tree import STEP, Pose, distance
 from coopqp.scenarios import dual_arm7
@@ -242,3 +245,40 @@ def test_compiled_edges_go_as_far_as_their_definition() -> None:
         assert (one.rooms[-1] <= far + 1e-6).all()
         assert (other.rooms[-1] <= far + 1e-6).all()
     assert {"pair", ""} <= kinds or len(kinds) > 1
+
+
+def test_a_pose_is_pushed_off_bodies_across_the_line_and_not_along_it() -> None:
+    # The oracle: coal's distances of the whole scene, the arms placed by inverse kinematics.
+    problem = two_arms([Body("beam", Box((0.3, 0.05, 0.3)), pin.SE3(np.eye(3), np.array([0.0, 0.0, 0.18])))])
+    cell, scene, along = problem.cell, problem.scene, np.array([0.0, 1.0, 0.0])
+    required, levers = scene.required_at(cell.positions(problem.q_start)[None])
+    inside = pin.SE3(pin.utils.rotate("x", 0.05), np.array([0.0, 0.0, 0.325]))
+    pushed = scene.pushed(inside, along, required)
+    assert pushed is not None
+    assert abs((pushed.translation - inside.translation) @ along) < 1e-12
+    assert pushed.translation[2] > inside.translation[2]
+    q = inverse_kinematics(cell, problem.grasp, pushed, problem.q_start, limits=False)
+    away = Distances(scene.built).all(q) - required
+    assert away[np.isfinite(levers)].min() >= 0.0
+
+
+@pytest.mark.parametrize(("way", "fastest", "acceleration"), [(0.5, 2.0, 3.0), (4.0, 1.0, 2.0)])
+def test_the_estimated_duration_of_one_joint_is_that_of_its_trapezoid(
+    way: float, fastest: float, acceleration: float
+) -> None:
+    limits = JointLimits(*(np.array([x]) for x in (-9.0, 9.0, fastest, acceleration)))
+    s = np.linspace(0.0, 1.0, 400)
+    ramp = fastest**2 / acceleration
+    exact = 2.0 * np.sqrt(way / acceleration) if way < ramp else way / fastest + fastest / acceleration
+    assert estimated_duration(limits, s, way * s[:, None]) == pytest.approx(exact, rel=0.02)
+
+
+def test_corners_are_rounded_off_within_their_own_distances() -> None:
+    poses = [pin.SE3(np.eye(3), np.array(p, dtype=float)) for p in ((0, 0, 0), (1, 0, 0), (1, 1, 0), (2, 1, 0))]
+    lines = [line for a, b in pairwise(poses) if (line := LinePath(a, b, duration=1.0).straight())]
+    distances = np.array([0.05, 0.0])
+    geometry = blended(lines, distance=distances, angle=np.ones(2))
+    _, p = geometry.poses(np.linspace(0.0, geometry.length, 2000))
+    nearest = [np.linalg.norm(p - corner.translation, axis=1).min() for corner in poses[1:3]]
+    assert 0.0 < nearest[0] <= 0.05 * np.sqrt(2.0) + 1e-9
+    assert nearest[1] < 1e-3

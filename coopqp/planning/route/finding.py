@@ -318,6 +318,8 @@ class _Finding:
     def _not_found(self, result: SearchResult) -> Route:
         spent = time.perf_counter() - self._began
         close = f"; the trees came within {result.closest:.2f} m" if np.isfinite(result.closest) else ""
+        if self._refused:
+            close = f"; of {len(self._refused)} shapes of ways that were found none was proved"
         return Route(
             verdict=RouteVerdict.NOT_FOUND,
             reason=(
