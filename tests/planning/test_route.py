@@ -208,6 +208,8 @@ def test_arguments_that_make_no_search_are_refused(posts: tuple[route_cases.Prob
         ({"region": [[1, 1, 1], [0, 0, 0]]}, "low corner"),
         ({"region": [[0, 0, 0], [0.1, 0.1, 0.1]]}, "outside"),
         ({"nodes": 0}, "nodes"),
+        ({"goal": problem.start}, "the goal is the start"),
+        ({"goal": []}, "no pose"),
         ({"time_limit": -1.0}, "time_limit"),
         ({"clearance": -0.1}, "clearance"),
         ({"q_start": np.zeros(problem.cell.nq)}, "q_start"),
@@ -216,6 +218,7 @@ def test_arguments_that_make_no_search_are_refused(posts: tuple[route_cases.Prob
             search(problem, **options)
 
 
+@pytest.mark.core
 @pytest.mark.skipif(compiled() is None, reason="compares the compiled edges with their definition")
 def test_compiled_edges_go_as_far_as_their_definition() -> None:
     problem = route_cases.posts3()

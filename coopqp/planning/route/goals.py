@@ -21,6 +21,8 @@ from coopqp.spatial import Array, Placement, as_placement, as_placements
 _AXES = {"rx": 0, "ry": 1, "rz": 2}
 #: Angles of a free turn that are tried: not further apart than this [rad], and so many of all turns together at most.
 _APART, _MOST = np.deg2rad(30.0), 64
+#: Poses that differ by less are the same [m].
+_SAME = 1e-9
 
 
 @final
@@ -130,5 +132,7 @@ def goal_poses(
         poses, every = list(as_placements(goal, where)), True
     if not poses:
         raise InvalidInputError("no pose", where, "Give at least one.")
+    if any(distance(Pose.of(start), Pose.of(T)) < _SAME for T in poses):
+        raise InvalidInputError("the goal is the start", where, "Give another pose.")
     poses.sort(key=lambda T: distance(Pose.of(start), Pose.of(T)))
     return [GoalPose(T) for T in poses], every

@@ -24,7 +24,11 @@ WIDEST, _LEAST = 0.3, 1e-3
 #: Twists of the same direction within this make no corner.
 _STRAIGHT = 1e-6
 #: Changes of a shape that are tried, and their size [m], from the first to the last.
-_CHANGES, _SIZES = 80, (0.1, 0.01)
+_CHANGES, _SIZES = 100, (0.1, 0.01)
+#: Share of the changes that leave a corner out.
+_LEFT_OUT = 0.1
+#: A corner is left out where that costs less than this share of the duration.
+_WORTH_A_CORNER = 0.01
 
 
 class Shape(NamedTuple):
@@ -103,12 +107,18 @@ def faster(edges: Edges, limits: JointLimits, shape: Shape, rng: np.random.Gener
         rng: random numbers.
         until: :func:`time.perf_counter` when no more is tried [s].
     """
+    for k in range(len(shape.poses) - 2, 0, -1):
+        if time.perf_counter() < until:
+            others = shape.poses[:k] + shape.poses[k + 1 :]
+            fewer = _free(edges, limits, shape.nodes[0], others, np.delete(shape.deviations, k - 1))
+            if isinstance(fewer, Shape) and fewer.duration < (1.0 + _WORTH_A_CORNER) * shape.duration:
+                shape = fewer
     for size in np.geomspace(*_SIZES, math.ceil(edges.effort * _CHANGES)):
         if len(shape.poses) < 3 or time.perf_counter() >= until:
             break
         poses, deviations = list(shape.poses), shape.deviations.copy()
         k = int(rng.integers(1, len(poses) - 1))
-        if rng.random() < 0.1:
+        if rng.random() < _LEFT_OUT:
             del poses[k]
             deviations = np.delete(deviations, k - 1)
         else:
