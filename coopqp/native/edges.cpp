@@ -8,15 +8,6 @@
 #include <algorithm>
 #include <utility>
 
-#ifdef __GNUC__
-#pragma GCC diagnostic push
-#pragma GCC diagnostic ignored "-Wunused-function"
-#endif
-#include "arm.h"
-#ifdef __GNUC__
-#pragma GCC diagnostic pop
-#endif
-
 /* Tolerance of tool poses [m, rad], largest step of a joint between poses [rad or m], halvings of a step of an arm. */
 #define AT_POSE 1e-9
 #define LONGEST_STRIDE 0.3
@@ -49,7 +40,7 @@ Edges::Edges(const nb::dict &arrays, const nb::list &given, Shapes &&shapes_give
         arm.n = (int)columns.size;
         check_fit(arm.n >= 1 && arm.n <= MOST_JOINTS && numbers.size == PER_JOINT * arm.n + 12);
         arm.numbers.assign(numbers.data, numbers.data + numbers.size);
-        memcpy(arm.X, X.data, sizeof arm.X);
+        arm.X = *reinterpret_cast<const Pose *>(X.data);
         for (Py_ssize_t i = 0; i < columns.size; i++) {
             check_fit(columns.data[i] >= 0.0 && columns.data[i] < (double)joints);
             arm.joint.push_back((Py_ssize_t)columns.data[i]);
@@ -59,47 +50,33 @@ Edges::Edges(const nb::dict &arrays, const nb::list &given, Shapes &&shapes_give
     drop.resize((size_t)pairs), estimate.resize((size_t)pairs);
 }
 
-/* Where the tool is when the object is at a pose. */
-static void tool_at(const double *pose, const double *X, double *tool) {
-    multiply3(pose, X, tool);
-    rotate(pose, X + 9, tool + 9);
-    for (int i = 0; i < 3; i++) tool[9 + i] += pose[9 + i];
-}
-
 /* Whether the smallest singular value of the Jacobian is at least sigma: J Jᵀ − σ² I has a Cholesky factor. */
 bool Edges::keeps_sigma(const OneArm &arm, const double *q) const {
-    const Arm a = {arm.n, arm.numbers.data(), arm.numbers.data() + PER_JOINT * arm.n};
-    double T[12], J[6 * MOST_JOINTS], G[36];
-    const int m = arm.n < 6 ? arm.n : 6;
-    place(&a, q, T, J);
-    for (int i = 0; i < m; i++)
-        for (int k = i; k < m; k++) {
-            double sum = i == k ? -sigma * sigma : 0.0;
-            if (arm.n < 6) sum += dot6(J + 6 * i, J + 6 * k);
-            else
-                for (int j = 0; j < arm.n; j++) sum += J[6 * j + i] * J[6 * j + k];
-            G[6 * i + k] = sum;
-        }
-    for (int k = 0; k < m; k++) {
-        if (!(G[7 * k] > 0.0)) return false;
-        for (int i = k + 1; i < m; i++) {
-            const double below = G[6 * k + i] / G[7 * k];
-            for (int j = i; j < m; j++) G[6 * i + j] -= below * G[6 * k + j];
+    ArmColumns J;
+    place(arm.numbered(), q, J);
+    Eigen::Matrix<double, Eigen::Dynamic, Eigen::Dynamic, 0, 6, 6> G;
+    if (arm.n < 6) G = J.transpose() * J;
+    else G = J * J.transpose();
+    G.diagonal().array() -= sigma * sigma;
+    for (Eigen::Index k = 0; k < G.rows(); k++) {
+        if (!(G(k, k) > 0.0)) return false;
+        for (Eigen::Index i = k + 1; i < G.rows(); i++) {
+            const double below = G(i, k) / G(k, k);
+            for (Eigen::Index m = k + 1; m <= i; m++) G(i, m) -= below * G(m, k);
         }
     }
     return true;
 }
 
 /* All arms from one pose of the object to the next, from positions `at` to x, inside limits and off singularities. */
-bool Edges::step_arms(const double *from, const double *to, const double *at, double *x, double *stop) {
+bool Edges::step_arms(const Pose &from, const Pose &to, const double *at, double *x, double *stop) {
     memcpy(x, at, sizeof(double) * (size_t)joints);
     for (size_t k = 0; k < arms.size(); k++) {
         const OneArm &arm = arms[k];
-        const Arm a = {arm.n, arm.numbers.data(), arm.numbers.data() + PER_JOINT * arm.n};
-        double q[MOST_JOINTS], before[12], after[12];
-        tool_at(from, arm.X, before), tool_at(to, arm.X, after);
+        const Pose before = compose(from, arm.X), after = compose(to, arm.X);
+        double q[MOST_JOINTS];
         for (int i = 0; i < arm.n; i++) q[i] = at[arm.joint[(size_t)i]];
-        if (!step_to(&a, before, after, q, AT_POSE, LONGEST_STRIDE, STRIDE_HALVINGS)) {
+        if (!step_to(arm.numbered(), before, after, q, AT_POSE, LONGEST_STRIDE, STRIDE_HALVINGS)) {
             stop[0] = EDGE_REACH, stop[1] = (double)arm.joint[0];
             return false;
         }
@@ -138,7 +115,7 @@ double Edges::asked(Py_ssize_t k, const double *x, double tolerance) {
 }
 
 /* Whether all pairs keep their distance on a step from a to b; puts the rooms at b. */
-bool Edges::is_clear(const double *from, const double *to, const double *motion, const double *a, const double *b,
+bool Edges::is_clear(const Pose &from, const Pose &to, const double *motion, const double *a, const double *b,
                      double *rooms_a, double *rooms_b, double *stop) {
     find_drops(a, b, motion);
     open.clear();
@@ -175,13 +152,13 @@ bool Edges::is_clear(const double *from, const double *to, const double *motion,
 }
 
 /* The same for some pairs, by halving the step. */
-bool Edges::halved(const double *from, const double *to, const double *motion, const double *a, const double *b,
+bool Edges::halved(const Pose &from, const Pose &to, const double *motion, const double *a, const double *b,
                    const std::vector<Py_ssize_t> &which, const std::vector<double> &rooms_a,
                    const std::vector<double> &rooms_b, int depth, double *stop) {
-    double between[12], half[2] = {0.5 * motion[0], 0.5 * motion[1]};
+    const Pose between = halfway(from, to);
+    const double half[2] = {0.5 * motion[0], 0.5 * motion[1]};
     std::vector<double> middle((size_t)joints), first, second, at_a, at_m, to_m, to_b;
     std::vector<Py_ssize_t> left, right;
-    halfway(from, to, between);
     if (!step_arms(from, between, a, middle.data(), stop)) return false;
     find_drops(a, middle.data(), half);
     for (const Py_ssize_t k : which) first.push_back(drop[(size_t)k]);
@@ -209,7 +186,8 @@ Py_ssize_t Edges::walk(const In &poses, const In &motion, Out &positions, Out &r
     stop.data[0] = EDGE_FREE, stop.data[1] = 0.0;
     nb::gil_scoped_release released;
     for (Py_ssize_t i = 0; i + 1 < count; i++) {
-        const double *from = poses.data + 12 * i, *to = from + 12, *moved = motion.data + 2 * i;
+        const Pose &from = reinterpret_cast<const Pose *>(poses.data)[i], &to = *(&from + 1);
+        const double *moved = motion.data + 2 * i;
         double *a = positions.data + joints * i, *b = a + joints, *at = rooms.data + pairs * i;
         if (!step_arms(from, to, a, b, stop.data) || !is_clear(from, to, moved, a, b, at, at + pairs, stop.data)) return i;
     }
@@ -225,16 +203,11 @@ void Edges::measure(const In &x, Out &rooms) {
 static void line(const In &from, const In &to, Out &poses) {
     const Py_ssize_t count = poses.size / 12;
     check_fit(from.size == 12 && to.size == 12 && count >= 2 && poses.size == 12 * count);
-    double D[9], w[3], turn[3], R[9];
-    multiply3_back(from.data, to.data, D);
-    rotation_vector(D, w);
+    const Pose &a = *reinterpret_cast<const Pose *>(from.data), &b = *reinterpret_cast<const Pose *>(to.data);
+    const Vector3 turn = rotation_vector(a.R.transpose() * b.R), way = b.p - a.p;
     for (Py_ssize_t i = 0; i + 1 < count; i++) {
         const double share = (double)i / (double)(count - 1);
-        double *pose = poses.data + 12 * i;
-        for (int m = 0; m < 3; m++) turn[m] = share * w[m];
-        exp3(turn, R);
-        multiply3(from.data, R, pose);
-        for (int m = 0; m < 3; m++) pose[9 + m] = from.data[9 + m] + share * (to.data[9 + m] - from.data[9 + m]);
+        reinterpret_cast<Pose *>(poses.data)[i] = {a.R * exp3(share * turn), a.p + share * way};
     }
     memcpy(poses.data + 12 * (count - 1), to.data, 12 * sizeof(double));
 }

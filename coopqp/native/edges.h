@@ -6,6 +6,14 @@
 
 #include <vector>
 
+#ifdef __GNUC__
+#pragma GCC diagnostic push
+#pragma GCC diagnostic ignored "-Wunused-function" /* some of an arm's are for its batches only */
+#endif
+#include "arm.h"
+#ifdef __GNUC__
+#pragma GCC diagnostic pop
+#endif
 #include "arrays.h"
 #include "nearby.h"
 
@@ -26,16 +34,18 @@ private:
     struct OneArm {
         std::vector<double> numbers; /* as arm.h takes them */
         std::vector<Py_ssize_t> joint;
-        double X[12]; /* the tool in the object's frame */
+        Pose X; /* the tool in the object's frame */
         int n;
+
+        Arm numbered() const { return {n, numbers.data(), numbers.data() + PER_JOINT * n}; }
     };
-    bool step_arms(const double *from, const double *to, const double *at, double *x, double *stop);
+    bool step_arms(const Pose &from, const Pose &to, const double *at, double *x, double *stop);
     bool keeps_sigma(const OneArm &arm, const double *q) const;
     void find_drops(const double *a, const double *b, const double *motion);
     double asked(Py_ssize_t k, const double *x, double tolerance);
-    bool is_clear(const double *from, const double *to, const double *motion, const double *a, const double *b,
+    bool is_clear(const Pose &from, const Pose &to, const double *motion, const double *a, const double *b,
                   double *rooms_a, double *rooms_b, double *stop);
-    bool halved(const double *from, const double *to, const double *motion, const double *a, const double *b,
+    bool halved(const Pose &from, const Pose &to, const double *motion, const double *a, const double *b,
                 const std::vector<Py_ssize_t> &pairs, const std::vector<double> &rooms_a,
                 const std::vector<double> &rooms_b, int depth, double *stop);
 
