@@ -68,8 +68,9 @@ PROGRAMS: Mapping[str, tuple[str, ...]] = {
     "python docs/examples/28_place_the_bases.py --out {out}": ("docs/howto/h_and_b.png",),
     "python docs/examples/29_palms.py --out {out}": ("docs/howto/palms.png",),
     "python docs/examples/30_torque_drives.py --out {out}": ("docs/howto/torque_drives.png",),
-    "python docs/examples/31_operator.py --out {out}": ("docs/tutorials/operator.png",),
-    "python docs/examples/32_conveyor.py --out {out}": ("docs/tutorials/conveyor.png",),
+    "python docs/examples/31_a_way_round.py --out {out}": ("docs/tutorials/way_round.png",),
+    "python docs/examples/32_operator.py --out {out}": ("docs/tutorials/operator.png",),
+    "python docs/examples/33_conveyor.py --out {out}": ("docs/tutorials/conveyor.png",),
 }
 #: Programs of this kind need Chromium (`make browser`).
 NEEDS_BROWSER = "docs/screenshots.py"

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import argparse
+import math
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
+from coopqp.cli.route import GLANCE
 from coopqp.cli.terminal import Reporter, add_command, print_table, print_written, reporter, say
 from coopqp.errors import UnknownNameError, UnreachableError, printable
 from coopqp.output import check_new, json_bytes, write_files
@@ -64,10 +66,13 @@ def _run_check(arguments: argparse.Namespace) -> int:
         if arguments.remedies and not check.feasible:
             report.note("looking for remedies")
             check = with_remedies(check)
+        offer = "" if arguments.quiet else _way_round(task, check, report)
         files = _write(check, arguments.json, picture)
     overlap = _unjudged(check, task.box)
     if not arguments.quiet:
         _print(check, overlap, branches=arguments.branches)
+        if offer:
+            print(offer)
         print_written(files, apart=True)
     if arguments.quiet and not check.feasible:
         say(check.explain().splitlines()[0])
@@ -91,6 +96,24 @@ def _unjudged(check: PathCheck, box: Body) -> str:
     )
 
 
+def _way_round(task: _Task, check: PathCheck, report: Reporter) -> str:
+    """Where bodies block the path and a short search finds a way round them: what to do; else empty."""
+    from coopqp.errors import CoopqpError
+    from coopqp.planning import PathVerdict, find_path
+
+    blocked = check.clearance is not None and check.clearance.verdict is PathVerdict.INFEASIBLE
+    if not blocked or task.scene is None or not math.isfinite(task.path.duration):
+        return ""
+    report.note("looking for a way round")
+    ends = task.path.pose(0.0), task.path.pose(task.path.duration)
+    try:
+        route = find_path(task.cell, task.grasp, *ends, task.scene, q_start=check.q_start, time_limit=GLANCE)
+    except CoopqpError:
+        return ""
+    command = f"coopqp route {printable(task.file)}" if task.file else "coopqp.find_path"
+    return f"a way round exists, of {route.length:.2f} m: {command}" if route.found else ""
+
+
 class _Task(NamedTuple):
     """What is checked: a cell file or a scenario."""
 
@@ -102,6 +125,7 @@ class _Task(NamedTuple):
     scene: CollisionScene | None
     box: Body
     note: str  # a remark on the start
+    file: str  # the cell file; empty for a scenario
 
 
 def _task(name: str) -> _Task:
@@ -119,13 +143,13 @@ def _task(name: str) -> _Task:
             q_start = task.exact_start()
         except UnreachableError as error:
             note = f"from the start of the file {error} Any start is judged."
-        return _Task(task.name, task.cell, task.grasp, task.path, q_start, task.scene, task.box, note)
+        return _Task(task.name, task.cell, task.grasp, task.path, q_start, task.scene, task.box, note, name)
     if name not in SCENARIOS:
         raise UnknownNameError("cell file (.toml, .yaml) or scenario", name, SCENARIOS)
     s = SCENARIOS[name]()
     scene = CollisionScene.of(s) if s.obstacles else None
     box = Body("object", Box(s.object_size), s.T_object_body)
-    return _Task(s.name, s.cell, s.grasp, s.path, s.q_start, scene, box, "")
+    return _Task(s.name, s.cell, s.grasp, s.path, s.q_start, scene, box, "", "")
 
 
 def _look(task: _Task, report: Reporter, *, any_start: bool = False) -> PathCheck:

@@ -152,7 +152,7 @@ class Distances:
             "arm": np.array([cell.arm_of_joint(j) for j in range(cell.nv)], dtype=float),
             "jacobian": self._data.J.T,
         }
-        shapes = _core_shapes(model, geometry)
+        shapes = core_shapes(model, geometry)
         if shapes is None:
             return None
         found = KERNEL.Nearby({**own, **arrays}, settings, coal_asked, shapes)
@@ -277,7 +277,7 @@ class LowerBounds:
         return weights.copy(), 1.0 if known else -1.0
 
 
-def _core_shapes(model: pin.Model, geometry: pin.GeometryModel) -> dict[str, Any] | None:
+def core_shapes(model: pin.Model, geometry: pin.GeometryModel) -> dict[str, Any] | None:
     """Joints, shapes and pairs as ``nearby.h`` takes them; None for joints that it does not know."""
     joints = list(model.joints)[1:]
     if any(joint.nv != 1 or joint.idx_v != i for i, joint in enumerate(joints)):

@@ -16,17 +16,21 @@ from coopqp.collision.branch_choice import clear_choice
 from coopqp.collision.built_scene import BuiltScene, Levers, Part, joints_to
 from coopqp.collision.coal_geometry import reach_of
 from coopqp.collision.convex_shapes import ConvexShapes
-from coopqp.collision.distances import Distances
+from coopqp.collision.distances import Distances, core_shapes
+from coopqp.collision.edges import edges_of
 from coopqp.collision.evasion import evading_trajectory
+from coopqp.collision.gaps import ObjectGaps
 from coopqp.collision.pairs import Names, PairRules, as_pair, srdf_pairs
 from coopqp.collision.path_check import check_clearance
 from coopqp.errors import InvalidInputError, UnknownNameError, shown
+from coopqp.model.batch import ArmKinematics
 from coopqp.model.cell import RobotCell
 from coopqp.model.grasp import Grasp
 from coopqp.model.shapes import Body, Box, NearPair
 from coopqp.paths.scenario import Scenario
 from coopqp.planning.clearance_check import ClearanceCheck
 from coopqp.planning.joint_trajectories import CellTrajectory
+from coopqp.planning.route.edges import EdgeLimits, Edges
 from coopqp.spatial import Array, as_placement
 
 #: Distance that is kept by default [m].
@@ -167,12 +171,49 @@ class CollisionScene:
         """
         return clear_choice(self.built, ways)
 
+    @property
+    def labels(self) -> tuple[tuple[str, str], ...]:
+        """Names of the bodies of each pair of shapes, P of them."""
+        return self.built.labels
+
+    def required_at(self, starts: Array) -> tuple[Array, Array]:
+        """See :class:`coopqp.planning.route.edges.SearchedBodies`."""
+        built = self.built
+        required = np.where(built.moves, -np.inf, built.margins)  # where bodies move to nobody knows
+        if built.inside.any():
+            distances = Distances(built)
+            for x in starts:
+                found = distances.all(self.cell.configuration(x))
+                required = np.where(built.inside, np.minimum(required, found), required)
+        return required, built.levers
+
+    @cached_property
+    def _core_shapes(self) -> dict[str, Any] | None:
+        return core_shapes(self.cell.model, self.built.geometry)
+
+    def edges(self, arms: Sequence[ArmKinematics], grasp: Grasp, limits: EdgeLimits) -> Edges:
+        """Edges of a search for a way of these arms among the bodies."""
+        return edges_of(self.built, arms, grasp, limits, shapes=self._core_shapes)
+
+    @cached_property
+    def _gaps(self) -> ObjectGaps:
+        return ObjectGaps(self.built, self.grasp)
+
+    def pushed(self, T_world_object: pin.SE3, along: Array, required: Array) -> pin.SE3 | None:
+        """See :class:`coopqp.planning.route.edges.SearchedBodies`."""
+        return self._gaps.pushed(T_world_object, along, required)
+
+    def widened(self, clearance: float) -> CollisionScene:
+        """The same bodies, which keep so much more than their margins [m]."""
+        margins = {pair: margin + clearance for pair, margin in self.margins.items()}
+        return replace(self, margin=self.margin + clearance, margins=margins)
+
     def of_cell(self, cell: RobotCell, grasp: Grasp) -> CollisionScene:
         """The same bodies about other arms or another grasp."""
         return replace(self, cell=cell, grasp=grasp)
 
     def __getstate__(self) -> dict[str, Any]:
-        return {name: value for name, value in self.__dict__.items() if name != "built"}
+        return {name: value for name, value in self.__dict__.items() if name not in ("built", "_gaps", "_core_shapes")}
 
 
 def _bodies(bodies: Any, where: str) -> tuple[Body, ...]:

@@ -110,6 +110,7 @@ class ArmKinematics:
         middle: middle between the limits, 0 without (n,) [rad or m].
         scale: unit of each joint, its largest speed [rad/s or m/s], 1 without (n,).
         turns: True for joints that tell whole turns apart: they revolve and are not continuous (n,).
+        numbers: the arm for the kernels, as ``arm.h`` lists it.
 
     Raises:
         ModelError: a joint neither turns about an axis nor slides along one.
@@ -146,7 +147,7 @@ class ArmKinematics:
         weights = self.scale if len(chain) > 6 else np.ones(len(chain))
         rows = np.column_stack([R.reshape(-1, 9), p, slides, weights / weights.max()])
         tool = np.concatenate([(aligned.T @ frame.placement.rotation).ravel(), aligned.T @ frame.placement.translation])
-        self._numbers = np.concatenate([rows.ravel(), tool])
+        self.numbers = np.concatenate([rows.ravel(), tool])
 
     @property
     def n(self) -> int:
@@ -159,7 +160,7 @@ class ArmKinematics:
         """T_world_tool at joint positions (M, n), as matrices (M, 4, 4)."""
         x = self._positions(q)
         poses = np.empty((len(x), 12))
-        self.kernel.place(self._numbers, x, poses, np.empty(6 * x.size))
+        self.kernel.place(self.numbers, x, poses, np.empty(6 * x.size))
         T = np.zeros((len(x), 4, 4))
         T[:, :3, :3], T[:, :3, 3], T[:, 3, 3] = poses[:, :9].reshape(-1, 3, 3), poses[:, 9:], 1.0
         return T
@@ -168,7 +169,7 @@ class ArmKinematics:
         """Jacobians (M, 6, n) of the tool's point, [linear; angular] in world axes."""
         x = self._positions(q)
         J = np.empty((len(x), self.n, 6))
-        self.kernel.place(self._numbers, x, np.empty(12 * len(x)), J)
+        self.kernel.place(self.numbers, x, np.empty(12 * len(x)), J)
         return J.transpose(0, 2, 1)
 
     def derivatives(self, q: ArrayLike, twists: Array, slopes: Array) -> tuple[Array, Array]:
@@ -185,7 +186,7 @@ class ArmKinematics:
         V, dV = (np.ascontiguousarray(np.broadcast_to(v, (len(x), 6)), dtype=float) for v in (twists, slopes))
         first, second = np.empty_like(x), np.empty_like(x)
         kernel = self.kernel if self.n >= 6 else batch_plain
-        kernel.derivatives(self._numbers, x, V, dV, first, second)
+        kernel.derivatives(self.numbers, x, V, dV, first, second)
         return first, second
 
     def singular_values(self, q: ArrayLike) -> Array:
@@ -232,7 +233,7 @@ class ArmKinematics:
         q = self._positions(q_start)
         numbers = self._poses(poses, len(q))
         residual = np.empty(len(q))
-        self.kernel.solve(self._numbers, numbers, q, residual, tolerance, steps, longest, _DAMPING)
+        self.kernel.solve(self.numbers, numbers, q, residual, tolerance, steps, longest, _DAMPING)
         return q, residual
 
     def walk(self, poses: ArrayLike, q_start: ArrayLike, *, tolerance: float = REACHED) -> Walks:
@@ -253,7 +254,7 @@ class ArmKinematics:
         q = np.empty((len(starts), len(numbers), self.n))
         q[:, 0] = starts
         reached = np.zeros(len(starts))
-        self.kernel.walk(self._numbers, numbers, q, reached, tolerance, _WALKING_STEP, _HALVINGS)
+        self.kernel.walk(self.numbers, numbers, q, reached, tolerance, _WALKING_STEP, _HALVINGS)
         return q, reached.astype(np.intp)
 
     def nearest_turns(self, q: Array) -> Array:

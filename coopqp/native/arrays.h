@@ -69,5 +69,6 @@ inline void check_fit(bool good, const char *what = "the arrays do not fit toget
 void bind_step(nb::module_ &m);
 void bind_kinematics(nb::module_ &m);
 void bind_distances(nb::module_ &m);
+void bind_edges(nb::module_ &m);
 
 #endif

@@ -8,4 +8,5 @@ NB_MODULE(_core, m) {
     bind_step(m);
     bind_kinematics(m);
     bind_distances(m);
+    bind_edges(m);
 }

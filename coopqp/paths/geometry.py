@@ -338,17 +338,20 @@ class PathGeometry:
         ]
 
 
-def blended(lines: Sequence[Straight], *, distance: float, angle: float) -> PathGeometry:
+def blended(lines: Sequence[Straight], *, distance: float | Array, angle: float | Array) -> PathGeometry:
     """Lines whose corners are rounded off by blends that stay within a distance [m] and an angle [rad] of them.
 
-    A blend takes at most half of each line. Corners stay where ``distance`` or ``angle`` is 0.
+    A blend takes at most half of each line. Corners stay where ``distance`` or ``angle`` is 0. Both are one number for
+    all corners, or one each.
     """
     cuts: list[float] = [0.0]  # length of s that the blend at each end of a line takes
-    for a, b in itertools.pairwise(lines):
+    corners = max(len(lines) - 1, 0)
+    tolerances = np.broadcast_to(distance, corners).tolist(), np.broadcast_to(angle, corners).tolist()
+    for a, b, widest, most in zip(lines, lines[1:], *tolerances, strict=False):
         apart = float(np.linalg.norm(b.way / b.length - a.way / a.length)) * RAMP_AT_MIDDLE
         turned = float(np.linalg.norm(b.turn / b.length - a.turn / a.length)) * RAMP_AT_MIDDLE
         longest = [0.5 * min(a.length, b.length)]
-        longest += [limit / size for limit, size in ((distance, apart), (angle, turned)) if size > _CORNER]
+        longest += [limit / size for limit, size in ((widest, apart), (most, turned)) if size > _CORNER]
         cuts.append(min(longest) if len(longest) > 1 else 0.0)
     cuts.append(0.0)
     pieces: list[Piece] = []

@@ -37,6 +37,7 @@ INSIDE = (
     "benchmarks/collisions.py",
     "benchmarks/compare_peers.py",
     "benchmarks/look_ahead_cases.py",
+    "benchmarks/ompl_routes.py",
     "benchmarks/planning.py",
     "benchmarks/recorded_qps.py",
     "benchmarks/step_profile.py",

@@ -8,7 +8,7 @@ import warnings
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import pinocchio as pin
@@ -27,7 +27,18 @@ from coopqp.files.cellfile.build_arm import build_arm, build_placement, build_st
 from coopqp.files.cellfile.error import CellFileError
 from coopqp.files.cellfile.explain import explain, in_words_of_the_file
 from coopqp.files.cellfile.renamed import renewed
-from coopqp.files.cellfile.schema import MAX_STEPS, CellFile, CommonErrorTable, StartTable
+from coopqp.files.cellfile.schema import (
+    MAX_STEPS,
+    CellFile,
+    CommonErrorTable,
+    HoldTable,
+    LineTable,
+    StartTable,
+    TimedTable,
+    WaypointsTable,
+)
+from coopqp.files.cellfile.search_tables import SearchTable
+from coopqp.files.cellfile.searched import SearchTask, search_task
 from coopqp.files.cellfile.sensors import build_disturbances, build_sensor
 from coopqp.files.cellfile.strict import build_options
 from coopqp.files.cellfile.text import read_tables
@@ -262,17 +273,59 @@ def _errors_of(file: Path) -> Iterator[None]:
         raise CellFileError(f"{file}: {in_words_of_the_file(str(error))}") from error
 
 
+def load_search(file: Path) -> tuple[CellFile, SearchTask]:
+    """Read a cell file, and the search for a way round in it: its own, or one between the ends of its path."""
+    settings = read(file)
+    with _errors_of(file):
+        return settings, _parts(settings, file.parent).search()
+
+
+class _Parts(NamedTuple):
+    """A task whose path may have to be searched. The path is None then."""
+
+    file: CellFile
+    cell: RobotCell
+    grasp: Grasp
+    path: ObjectPath | None
+    q_start: Array | None
+    near: bool
+    scene: CollisionScene | None
+    box: Body
+
+    def search(self) -> SearchTask:
+        """The search for a way round."""
+        return search_task(
+            self.file.path, self.path, self.cell, self.grasp, self.q_start, self.scene, is_near=self.near
+        )
+
+
 def _task(file: CellFile, folder: Path) -> CellTask:
     """The arms, their grasp, the path, and the start; errors name the arm or table."""
+    _, cell, grasp, path, q_start, near, scene, box = parts = _parts(file, folder)
+    if path is None:
+        search = parts.search()
+        route = search.route()
+        path, near = search.path(route), False
+        q_start = None if route.check is None else route.check.q_start
+    return CellTask(file.name, cell, grasp, path, q_start, start_is_near=near, scene=scene, box=box)
+
+
+def _parts(file: CellFile, folder: Path) -> _Parts:
+    """The task, without a search."""
     build_options(Tolerances, file.verdict)  # a bad one is refused before any work is done
     cell = RobotCell([build_arm(arm, folder) for arm in file.arms])
-    path = _path(file)
+    path: ObjectPath | None = None
+    if isinstance(file.path, SearchTable):
+        T_start = build_placement(file.path.start)
+    else:
+        path = _path(file.path)
+        T_start = path.pose(0.0)
     q_start = None if file.start.is_auto else _start(file.start, cell)
     latched = file.grasp.kind == "latched"
     if not latched:
         grasp = _grasp(file, cell)
     elif q_start is not None:
-        grasp = Grasp.from_configuration(cell, q_start, path.pose(0.0))
+        grasp = Grasp.from_configuration(cell, q_start, T_start)
     else:
         raise CoopqpError(
             "a latched grasp follows from the start, so no start can be found for it: give start.positions_deg or "
@@ -282,7 +335,7 @@ def _task(file: CellFile, folder: Path) -> CellTask:
     box = Body("object", Box(file.object.size_m), build_placement(file.object.centre))
     table = file.collision
     scene = None if table is None else build_scene(table, cell, grasp, box, folder, build_placement)
-    return CellTask(file.name, cell, grasp, path, q_start, start_is_near=near, scene=scene, box=box)
+    return _Parts(file, cell, grasp, path, q_start, near, scene, box)
 
 
 def build(file: CellFile, folder: Path) -> CellRun:
@@ -351,8 +404,7 @@ def _grasp(file: CellFile, cell: RobotCell) -> Grasp:
     return Grasp(tuple(build_placement(tool) for tool in _by_arm(file.grasp.tools, cell, "grasp.tools")))
 
 
-def _path(file: CellFile) -> ObjectPath:
-    path = file.path
+def _path(path: LineTable | WaypointsTable | HoldTable | TimedTable) -> ObjectPath:
     if path.kind == "timed":
         names = {"pieces": path.pieces, "s": path.s_m, "squares": path.squares, "planned_share": path.planned_share}
         names["keeps_clear"] = path.keeps_clear

@@ -33,6 +33,7 @@ from coopqp.files.cellfile.basic import (
 )
 from coopqp.files.cellfile.bodies import CollisionTable
 from coopqp.files.cellfile.paths import check_inside
+from coopqp.files.cellfile.search_tables import SearchTable
 from coopqp.files.cellfile.sensors import DisturbancesTable, SensorTable
 from coopqp.files.cellfile.strict import MAX_LIST, Number, Numbers, Table, problem, table_of
 from coopqp.scenarios.arms import ROBOTS
@@ -352,8 +353,8 @@ class CellFile(Table):
     grasp: Annotated[TriangleGrasp | ToolsGrasp | LatchedGrasp, Field(discriminator="kind")] = Field(
         description="placements of the tools on the object"
     )
-    path: Annotated[LineTable | WaypointsTable | HoldTable | TimedTable, Field(discriminator="kind")] = Field(
-        description="path of the object"
+    path: Annotated[LineTable | WaypointsTable | HoldTable | TimedTable | SearchTable, Field(discriminator="kind")] = (
+        Field(description="path of the object")
     )
     start: StartTable = Field(
         default_factory=StartTable,

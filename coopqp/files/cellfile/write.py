@@ -18,7 +18,10 @@ from coopqp.files.cellfile.paths import resolve
 from coopqp.files.cellfile.renamed import renewed
 from coopqp.files.cellfile.schema import ArmTable, CellFile
 from coopqp.forces.calibration import Calibration
+from coopqp.model.cell import RobotCell
+from coopqp.paths.timed import TimedPath
 from coopqp.planning.planner import Plan
+from coopqp.spatial import Array
 
 
 def relative(path: Path, into: Path) -> str:
@@ -116,10 +119,36 @@ def planned_text(run: CellRun, plan: Plan, *, folder: Path, into: Path) -> str:
         folder: folder of that file.
         into: folder of the new file.
     """
-    tables = run.settings.model_dump(exclude_none=True, exclude_unset=True)
-    cell = run.scenario.cell
-    move_files(tables["arms"], run.settings.arms, folder, into)
-    record = plan.path.record()
+    dt = run.scenario.dt if run.settings.steps is not None or run.scenario.dt != DEFAULT_DT else None
+    head = f"{plan.path.duration:.4g} s from rest to rest, planned by coopqp. Its time law is in the table [path]."
+    return timed_text(run.settings, run.scenario.cell, plan.q_start, plan.path, head, folder=folder, into=into, dt=dt)
+
+
+def timed_text(
+    settings: CellFile,
+    cell: RobotCell,
+    q_start: Array,
+    path: TimedPath,
+    head: str,
+    *,
+    folder: Path,
+    into: Path,
+    dt: float | None = None,
+) -> str:
+    """A cell file in TOML with another path and start.
+
+    Args:
+        settings: the file.
+        cell: its arms.
+        q_start, path: the start (nq,), and the path.
+        head: a line for the reader.
+        folder: folder of that file.
+        into: folder of the new file.
+        dt: length of a step [s]; None leaves the default, or the file's.
+    """
+    tables = settings.model_dump(exclude_none=True, exclude_unset=True)
+    move_files(tables["arms"], settings.arms, folder, into)
+    record = path.record()
     tables["path"] = {
         "kind": "timed",
         **({} if record["planned_share"] is None else {"planned_share": record["planned_share"]}),
@@ -131,12 +160,12 @@ def planned_text(run: CellRun, plan: Plan, *, folder: Path, into: Path) -> str:
     }
     if (elbows := record["elbows"]) is not None:
         tables["path"]["elbows"] = {name: elbows[own] for name, own in ELBOWS.items()}
-    x = cell.positions(plan.q_start)
+    x = cell.positions(q_start)
     positions = {name: x[own].tolist() for name, own in zip(cell.arm_names, cell.v_slices, strict=True)}
     tables["start"] = {"positions_rad": positions, "inverse_kinematics": False}
-    if tables.pop("steps", None) is not None or run.scenario.dt != DEFAULT_DT:
-        tables["dt_s"] = run.scenario.dt
-    head = f"{plan.path.duration:.4g} s from rest to rest, planned by coopqp. Its time law is in the table [path]."
+    tables.pop("steps", None)
+    if dt is not None:
+        tables["dt_s"] = dt
     return file_text([head], tables)
 
 

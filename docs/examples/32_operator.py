@@ -1,4 +1,4 @@
-"""Stop, back, aside, go on.  python docs/examples/31_operator.py"""
+"""Stop, back, aside, go on.  python docs/examples/32_operator.py"""
 
 import sys
 from pathlib import Path

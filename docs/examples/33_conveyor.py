@@ -1,4 +1,4 @@
-"""A conveyor sets the pace.  python docs/examples/32_conveyor.py"""
+"""A conveyor sets the pace.  python docs/examples/33_conveyor.py"""
 
 import sys
 from pathlib import Path

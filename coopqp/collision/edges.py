@@ -1,0 +1,93 @@
+"""Edges of a search for the object's path, compiled (``edges.cpp``) or plain (:mod:`coopqp.collision.edges_plain`)."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any, final
+
+import numpy as np
+
+from coopqp.collision.built_scene import BuiltScene
+from coopqp.collision.distances import KERNEL
+from coopqp.collision.edges_plain import BENT, FAR, PlainEdges
+from coopqp.model.batch import ArmKinematics
+from coopqp.model.grasp import Grasp
+from coopqp.planning.route.edges import EdgeLimits, Edges, Stop, Walked, columns_of
+from coopqp.spatial import Array
+
+#: Kinds of stops in the order of ``edges.h``.
+_KINDS = ("", "reach", "limit", "singular", "pair")
+
+
+def edges_of(
+    built: BuiltScene,
+    arms: Sequence[ArmKinematics],
+    grasp: Grasp,
+    limits: EdgeLimits,
+    *,
+    shapes: dict[str, Any] | None = None,
+) -> Edges:
+    """Edges of a scene, compiled where they can be.
+
+    Args:
+        built: the scene.
+        arms: kinematics of each arm of its cell.
+        grasp: how they hold the object.
+        limits: what the edges keep.
+        shapes: what :func:`coopqp.collision.distances.core_shapes` tells of the scene; None for plain edges.
+    """
+    if shapes is None or not hasattr(KERNEL, "Edges") or any(arm.kernel is not KERNEL for arm in arms):
+        return PlainEdges(built, arms, grasp, limits)
+    return _CompiledEdges(KERNEL, shapes, built, arms, grasp, limits)
+
+
+@final
+class _CompiledEdges:
+    """See :class:`coopqp.planning.route.edges.Edges`."""
+
+    effort = 1.0
+
+    def __init__(
+        self,
+        kernel: Any,
+        shapes: dict[str, Any],
+        built: BuiltScene,
+        arms: Sequence[ArmKinematics],
+        grasp: Grasp,
+        limits: EdgeLimits,
+    ) -> None:
+        numbers = {
+            "reach": np.ascontiguousarray(built.reach.T),
+            "levers": np.minimum(built.levers, FAR),
+            "required": limits.required, "spare": limits.spare, "lower": limits.lower, "upper": limits.upper,
+            "settings": np.array([limits.sigma_min, BENT]),
+        }  # fmt: skip
+        of_arms = [
+            {
+                "numbers": arm.numbers,
+                "columns": columns.astype(float),
+                "T_object_tool": np.concatenate([X.rotation.ravel(), X.translation]),
+            }
+            for arm, columns, X in zip(arms, columns_of(built.cell, arms), grasp.T_object_tool, strict=True)
+        ]
+        self._kernel, self._pairs = kernel, len(built.labels)
+        self._native = kernel.Edges(numbers, of_arms, shapes)
+
+    def walk(self, poses: Array, motion: Array, x: Array, rooms: Array) -> Walked:
+        """See :class:`coopqp.planning.route.edges.Edges`."""
+        positions, kept, stop = np.empty((len(poses), len(x))), np.empty((len(poses), len(rooms))), np.empty(2)
+        positions[0], kept[0] = x, rooms
+        reached = self._native.walk(poses, motion, positions, kept, stop) + 1
+        return Walked(positions[:reached], kept[:reached], Stop(_KINDS[int(stop[0])], int(stop[1])))
+
+    def line(self, start: Array, goal: Array, steps: int) -> Array:
+        """See :class:`coopqp.planning.route.edges.Edges`."""
+        poses = np.empty((steps + 1, 12))
+        self._kernel.line(start, goal, poses)
+        return poses
+
+    def rooms(self, x: Array) -> Array:
+        """See :class:`coopqp.planning.route.edges.Edges`."""
+        out = np.empty(self._pairs)
+        self._native.measure(np.ascontiguousarray(x), out)
+        return out

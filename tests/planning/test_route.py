@@ -1,0 +1,287 @@
+"""A way round: it is found, clear and the same again; what is impossible is named; what is not found is not denied."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+import pinocchio as pin
+import pytest
+import route_cases
+from marks import slow_but_first
+
+from coopqp import CollisionScene, InvalidInputError, JointLimits, LinePath, find_path
+from coopqp.collision import Body, Box, Capsule
+from coopqp.collision.distances import Distances
+from coopqp.collision.edges_plain import PlainEdges
+from coopqp.model.batch import ArmKinematics
+from coopqp.model.inverse_kinematics import inverse_kinematics
+from coopqp.native import compiled
+from coopqp.paths.geometry import blended
+from coopqp.planning import ArmGoal, FreeTurn, PathVerdict, Route, RouteVerdict, TurnedGoal
+from coopqp.planning.route.duration import estimated_duration
+from coopqp.planning.route.edges import EdgeLimits, limits_with
+from coopqp.planning.route.tree import STEP, Pose, distance
+from coopqp.scenarios import dual_arm7
+
+#: Poses in the trees that end a search in a test.
+NODES = 600
+
+
+def search(problem: route_cases.Problem, **options: Any) -> Route:
+    cell, grasp, start, goal, scene, q_start = problem
+    return find_path(cell, grasp, start, scene=scene, **{"goal": goal, "q_start": q_start, "nodes": NODES, **options})
+
+
+@pytest.fixture(scope="module")
+def posts() -> tuple[route_cases.Problem, Route]:
+    problem = route_cases.posts3()
+    return problem, search(problem)
+
+
+def two_arms(obstacles: list[Body]) -> route_cases.Problem:
+    """Two seven-joint arms carry their bar by 0.2 m to the side."""
+    task = dual_arm7()
+    start, goal = (pin.SE3(np.eye(3), np.array([0.0, y, 0.3])) for y in (-0.1, 0.1))
+    q_start = inverse_kinematics(task.cell, task.grasp, start, task.q_start)
+    return route_cases.Problem(
+        task.cell, task.grasp, start, goal, CollisionScene.of(task, obstacles=obstacles), q_start
+    )
+
+
+def test_a_way_round_two_posts_is_found_proved_and_rounded(posts: tuple[route_cases.Problem, Route]) -> None:
+    problem, route = posts
+    assert route.verdict is RouteVerdict.FOUND
+    assert route.found
+    assert route.path is not None
+    assert route.check is not None
+    assert route.check.verdict is PathVerdict.CERTIFIED
+    for clock, T in ((0.0, problem.start), (route.path.duration, problem.goal)):
+        np.testing.assert_allclose(route.path.pose(clock).homogeneous, T.homogeneous, atol=1e-9)
+    geometry = route.path.geometry()
+    assert geometry is not None
+    assert len(geometry.pieces) > 2
+    assert not geometry.corners, "the object need not rest on its way"
+
+
+def test_along_the_way_all_arms_hold_the_object_and_nothing_comes_inside_its_margin(
+    posts: tuple[route_cases.Problem, Route],
+) -> None:
+    # The oracle: inverse kinematics of the whole chain and coal, at samples of the path.
+    problem, route = posts
+    assert route.path is not None
+    assert route.check is not None
+    assert route.check.q_start is not None
+    q, distances = route.check.q_start, Distances(problem.scene.built)
+    for clock in np.linspace(0.0, route.path.duration, 60):
+        q = inverse_kinematics(problem.cell, problem.grasp, route.path.pose(clock), q, limits=False)
+        x = problem.cell.positions(q)
+        assert (x >= problem.cell.limits.lower).all()
+        assert (x <= problem.cell.limits.upper).all()
+        assert (distances.all(q) >= problem.scene.built.margins - 1e-6).all()
+
+
+def test_the_same_seed_gives_the_same_way_bit_for_bit(posts: tuple[route_cases.Problem, Route]) -> None:
+    problem, route = posts
+    again = search(problem)
+    assert route.path is not None
+    assert again.path is not None
+    np.testing.assert_array_equal(again.path.profile.s, route.path.profile.s)
+    np.testing.assert_array_equal(again.joints, route.joints)
+
+
+def over_a_post() -> route_cases.Problem:
+    return two_arms([Body("post", Capsule(0.03, 0.3), pin.SE3(np.eye(3), np.array([0.0, 0.0, 0.12])))])
+
+
+@pytest.mark.parametrize("make", slow_but_first([over_a_post, route_cases.peg]))
+def test_ways_over_an_obstacle_are_found(make: Any) -> None:
+    route = search(make())
+    assert route.verdict is RouteVerdict.FOUND
+    assert route.check is not None
+    assert route.check.verdict is PathVerdict.CERTIFIED
+
+
+def test_without_a_start_one_is_found() -> None:
+    problem = route_cases.posts3()
+    route = search(problem, q_start=None)
+    assert route.verdict is RouteVerdict.FOUND
+
+
+def test_a_free_straight_way_is_taken() -> None:
+    problem = two_arms([Body("far", Box((0.1, 0.1, 0.1)), pin.SE3(np.eye(3), np.array([0.0, 0.0, 2.0])))])
+    route = search(problem)
+    assert route.verdict is RouteVerdict.STRAIGHT
+    assert route.length == pytest.approx(0.2)
+
+
+def test_a_wall_is_not_found_a_way_round_and_nothing_is_claimed() -> None:
+    problem = two_arms([Body("wall", Box((0.3, 0.03, 2.0)), pin.SE3.Identity())])
+    route = search(problem, nodes=60)
+    assert route.verdict is RouteVerdict.NOT_FOUND
+    assert not route.found
+    assert "nothing is proved" in route.reason
+    assert "wall" in route.reason
+    with pytest.raises(InvalidInputError, match="no way"):
+        route.timed()
+
+
+def test_a_goal_inside_a_body_is_named() -> None:
+    problem = two_arms([Body("block", Box((0.1, 0.05, 0.1)), pin.SE3(np.eye(3), np.array([0.0, 0.1, 0.3])))])
+    route = search(problem)
+    assert route.verdict is RouteVerdict.INFEASIBLE
+    assert route.reason == "The goal is impossible: object and block come inside their margin."
+
+
+def test_a_goal_out_of_reach_names_the_arm() -> None:
+    problem = two_arms([Body("far", Box((0.1, 0.1, 0.1)), pin.SE3(np.eye(3), np.array([0.0, 0.0, 5.0])))])
+    route = search(problem._replace(goal=pin.SE3(np.eye(3), np.array([2.0, 0.0, 0.3]))))
+    assert route.verdict is RouteVerdict.INFEASIBLE
+    assert "arm left does not reach its grasp" in route.reason
+
+
+def test_a_start_inside_a_margin_is_named() -> None:
+    problem = two_arms([Body("block", Box((0.1, 0.05, 0.1)), pin.SE3(np.eye(3), np.array([0.0, -0.1, 0.3])))])
+    route = search(problem)
+    assert route.verdict is RouteVerdict.INFEASIBLE
+    assert route.reason.startswith("The start is impossible: object and block")
+
+
+def test_of_several_goals_one_that_is_impossible_is_left_out(posts: tuple[route_cases.Problem, Route]) -> None:
+    problem = posts[0]
+    route = search(problem, goal=[problem.goal * pin.SE3(np.eye(3), np.array([0.0, 0.0, 3.0])), problem.goal])
+    assert route.verdict is RouteVerdict.FOUND
+    assert route.path is not None
+    np.testing.assert_allclose(route.path.pose(route.path.duration).translation, problem.goal.translation, atol=1e-9)
+
+
+def test_a_goal_may_leave_a_turn_free() -> None:
+    problem = over_a_post()
+    goal = TurnedGoal(problem.goal, [FreeTurn("rx", -0.2, 0.2)])
+    route = search(problem, goal=goal)
+    assert route.found
+    assert route.path is not None
+    end = route.path.pose(route.path.duration)
+    np.testing.assert_allclose(end.translation, problem.goal.translation, atol=1e-9)
+    turn = pin.log3(problem.goal.rotation.T @ end.rotation)
+    assert abs(turn[0]) <= 0.2 + 1e-9
+    np.testing.assert_allclose(turn[1:], 0.0, atol=1e-9)
+    with pytest.raises(InvalidInputError, match="low is above high"):
+        FreeTurn("rx", 0.2, -0.2)
+
+
+def test_joint_positions_of_one_arm_are_a_goal(posts: tuple[route_cases.Problem, Route]) -> None:
+    problem, known = posts
+    assert known.joints is not None
+    own = problem.cell.v_slices[1]
+    q = known.joints[-1, own]
+    route = search(problem, goal=ArmGoal("slave_1", q))
+    assert route.verdict is RouteVerdict.FOUND
+    assert route.joints is not None
+    np.testing.assert_allclose(route.joints[-1, own], q, atol=1e-6)
+    outside = search(problem, goal=ArmGoal("slave_1", q + 10.0))
+    assert outside.verdict is RouteVerdict.INFEASIBLE
+    assert "arm slave_1" in outside.reason
+
+
+def test_who_watches_can_end_the_search() -> None:
+    asked: list[int] = []
+    problem = two_arms([Body("wall", Box((0.3, 0.03, 2.0)), pin.SE3.Identity())])
+    route = search(problem, nodes=None, watch=lambda nodes: asked.append(nodes) or len(asked) > 5)
+    assert route.verdict is RouteVerdict.NOT_FOUND
+    assert len(asked) == 6
+
+
+def test_clearance_is_kept_beyond_the_margins(posts: tuple[route_cases.Problem, Route]) -> None:
+    route = search(posts[0], clearance=0.004)
+    assert route.check is not None
+    assert route.check.clearance is not None
+    assert route.check.verdict is PathVerdict.CERTIFIED
+    assert route.check.clearance.margin == pytest.approx(0.014)
+
+
+def test_arguments_that_make_no_search_are_refused(posts: tuple[route_cases.Problem, Route]) -> None:
+    problem = posts[0]
+    for options, match in (
+        ({"region": [[0, 0, 0], [1, 1]]}, "region"),
+        ({"region": [[1, 1, 1], [0, 0, 0]]}, "low corner"),
+        ({"region": [[0, 0, 0], [0.1, 0.1, 0.1]]}, "outside"),
+        ({"nodes": 0}, "nodes"),
+        ({"goal": problem.start}, "the goal is the start"),
+        ({"goal": []}, "no pose"),
+        ({"time_limit": -1.0}, "time_limit"),
+        ({"clearance": -0.1}, "clearance"),
+        ({"q_start": np.zeros(problem.cell.nq)}, "q_start"),
+    ):
+        with pytest.raises(InvalidInputError, match=match):
+            search(problem, **options)
+
+
+@pytest.mark.core
+@pytest.mark.skipif(compiled() is None, reason="compares the compiled edges with their definition")
+def test_compiled_edges_go_as_far_as_their_definition() -> None:
+    problem = route_cases.posts3()
+    cell, grasp, scene = problem.cell, problem.grasp, problem.scene
+    x = cell.positions(problem.q_start)
+    required, _ = scene.required_at(x[None])
+    limits: EdgeLimits = limits_with(cell, x[None], required)
+    arms = [ArmKinematics(arm) for arm in cell.arms]
+    both = scene.edges(arms, grasp, limits), PlainEdges(scene.built, arms, grasp, limits)
+    rooms = [edges.rooms(x) for edges in both]
+    np.testing.assert_allclose(*rooms, atol=1e-4)
+    rng = np.random.default_rng(0)
+    kinds = set()
+    for _ in range(12):
+        goal = problem.start * pin.exp6(pin.Motion(rng.uniform(-1.0, 1.0, 6) * [0.3, 0.3, 0.3, 0.5, 0.5, 0.5]))
+        a, b = Pose.of(problem.start), Pose.of(goal)
+        steps = int(np.ceil(distance(a, b) / STEP))
+        rows, way = both[0].line(a.row(), b.row(), steps), (pin.log3(a.R.T @ b.R), b.p - a.p)
+        np.testing.assert_allclose(rows, both[1].line(a.row(), b.row(), steps), atol=1e-12)
+        motion = np.tile([np.linalg.norm(way[1]) / steps, np.linalg.norm(way[0]) / steps], (steps, 1))
+        one, other = (edges.walk(rows, motion, x, room) for edges, room in zip(both, rooms, strict=True))
+        assert one.stop.kind == other.stop.kind
+        assert len(one.positions) == len(other.positions)
+        np.testing.assert_allclose(one.positions, other.positions, atol=1e-7)
+        kinds.add(one.stop.kind)
+        far = Distances(scene.built).all(cell.configuration(one.positions[-1])) - required
+        assert (one.rooms[-1] <= far + 1e-6).all()
+        assert (other.rooms[-1] <= far + 1e-6).all()
+    assert {"pair", ""} <= kinds or len(kinds) > 1
+
+
+def test_a_pose_is_pushed_off_bodies_across_the_line_and_not_along_it() -> None:
+    # The oracle: coal's distances of the whole scene, the arms placed by inverse kinematics.
+    problem = two_arms([Body("beam", Box((0.3, 0.05, 0.3)), pin.SE3(np.eye(3), np.array([0.0, 0.0, 0.18])))])
+    cell, scene, along = problem.cell, problem.scene, np.array([0.0, 1.0, 0.0])
+    required, levers = scene.required_at(cell.positions(problem.q_start)[None])
+    inside = pin.SE3(pin.utils.rotate("x", 0.05), np.array([0.0, 0.0, 0.325]))
+    pushed = scene.pushed(inside, along, required)
+    assert pushed is not None
+    assert abs((pushed.translation - inside.translation) @ along) < 1e-12
+    assert pushed.translation[2] > inside.translation[2]
+    q = inverse_kinematics(cell, problem.grasp, pushed, problem.q_start, limits=False)
+    away = Distances(scene.built).all(q) - required
+    assert away[np.isfinite(levers)].min() >= 0.0
+
+
+@pytest.mark.parametrize(("way", "fastest", "acceleration"), [(0.5, 2.0, 3.0), (4.0, 1.0, 2.0)])
+def test_the_estimated_duration_of_one_joint_is_that_of_its_trapezoid(
+    way: float, fastest: float, acceleration: float
+) -> None:
+    limits = JointLimits(*(np.array([x]) for x in (-9.0, 9.0, fastest, acceleration)))
+    s = np.linspace(0.0, 1.0, 400)
+    ramp = fastest**2 / acceleration
+    exact = 2.0 * np.sqrt(way / acceleration) if way < ramp else way / fastest + fastest / acceleration
+    assert estimated_duration(limits, s, way * s[:, None]) == pytest.approx(exact, rel=0.02)
+
+
+def test_corners_are_rounded_off_within_their_own_distances() -> None:
+    poses = [pin.SE3(np.eye(3), np.array(p, dtype=float)) for p in ((0, 0, 0), (1, 0, 0), (1, 1, 0), (2, 1, 0))]
+    lines = [line for a, b in pairwise(poses) if (line := LinePath(a, b, duration=1.0).straight())]
+    distances = np.array([0.05, 0.0])
+    geometry = blended(lines, distance=distances, angle=np.ones(2))
+    _, p = geometry.poses(np.linspace(0.0, geometry.length, 2000))
+    nearest = [np.linalg.norm(p - corner.translation, axis=1).min() for corner in poses[1:3]]
+    assert 0.0 < nearest[0] <= 0.05 * np.sqrt(2.0) + 1e-9
+    assert nearest[1] < 1e-3
