@@ -1,0 +1,448 @@
+"""The control loop: robots read, the controller stepped as far as the slowest arm needs it, every arm sent its command.
+
+It is no safety function. The robots' own safety controllers stay in charge.
+"""
+
+from __future__ import annotations
+
+import math
+import threading
+import warnings
+from collections import Counter, deque
+from collections.abc import Callable, Mapping
+from typing import Any, Protocol, final
+
+import numpy as np
+
+from coopqp.checks import as_options, as_scalar
+from coopqp.control.interface import ControlStep, Status
+from coopqp.drivers.driver import Command, Condition, DriverError, RobotDriver
+from coopqp.drivers.motion import SharedMotion
+from coopqp.drivers.options import LoopOptions
+from coopqp.drivers.report import LoopReport
+from coopqp.drivers.robots import refusals, robots_of
+from coopqp.drivers.timing import LoopTime, MonotonicTime
+from coopqp.drivers.watch import RobotWatch
+from coopqp.errors import InvalidInputError
+from coopqp.spatial import Array
+
+#: Conditions of a robot that will not follow its commands.
+_STANDS = (Condition.STOPPED, Condition.PROTECTIVE, Condition.FAULT)
+#: All arms rest this long before a stop counts [s].
+_SETTLED = 0.1
+#: The object has arrived where all joints are this near to the end [rad or m].
+_ARRIVED = 1e-4
+#: Every how many periods the distance of the arms is looked at.
+_LOOK = 10
+
+
+class LoopRecorder(Protocol):
+    """Gets what each period did."""
+
+    def take(self, moment: float, measured: Array, sent: Array, step: ControlStep | None) -> None:
+        """One period.
+
+        Args:
+            moment: its beginning [s].
+            measured: joint positions as measured (nv,); NaN where they are missing.
+            sent: commanded joint positions (nv,).
+            step: the controller's last step.
+        """
+        ...
+
+
+@final
+class ControlLoop:
+    """Drives robots with a controller. Each run begins with a reset of the controller where the robots stand.
+
+    The calls :meth:`pause`, :meth:`resume`, :meth:`set_override`, :meth:`stop` and :meth:`beat` may come from any
+    thread; they take effect between two periods. It is no safety function.
+
+    Args:
+        controller: a QPController or ForceController.
+        drivers: a driver by the name of its arm, or of its robot where that has several arms.
+        options: settings, or a dictionary of them.
+        recorder: gets every period.
+        time: the clock; the machine's by default.
+
+    Raises:
+        InvalidInputError: drivers that do not fit the cell, or bad settings.
+    """
+
+    def __init__(
+        self,
+        controller: Any,
+        drivers: Mapping[str, RobotDriver],
+        options: LoopOptions | Mapping[str, Any] | None = None,
+        *,
+        recorder: LoopRecorder | None = None,
+        time: LoopTime | None = None,
+    ) -> None:
+        for method in ("reset", "step", "pause", "resume", "set_override"):
+            if not callable(getattr(controller, method, None)):
+                raise InvalidInputError(
+                    f"a {type(controller).__name__} has no {method}()", "ControlLoop: controller", "Give a QPController."
+                )
+        self.controller, self.cell = controller, controller.cell
+        self.options = as_options(LoopOptions, options, "ControlLoop: options")
+        self.robots = robots_of(self.cell, drivers)
+        self.period = controller.dt if self.options.period is None else self.options.period
+        self.lead = 2.0 * self.period if self.options.lead is None else self.options.lead
+        self._recorder = recorder
+        self._time = MonotonicTime() if time is None else time
+        self._calls: deque[Callable[[], None]] = deque()
+        self._watches = tuple(RobotWatch(robot, self.options.patience) for robot in self.robots)
+        self._wrenches = bool(getattr(controller, "needs_wrenches", False))
+        self._lock = threading.Lock()
+        self._beaten = -math.inf
+        self._ending = ""
+        self._failed = False
+        self._motion: SharedMotion | None = None
+
+    # -- operators' calls ------------------------------------------------------------------------------------------
+
+    def pause(self) -> None:
+        """Bring the object to rest on its path, until :meth:`resume`."""
+        self._calls.append(self.controller.pause)
+
+    def resume(self) -> None:
+        """Go on after :meth:`pause`, and by hand after a stop, where no robot says any more that it stands."""
+        self._calls.append(self._go_on)
+
+    def set_override(self, share: float) -> None:
+        """The largest rate of the object, 0 to 1.
+
+        Raises:
+            InvalidInputError: not a number from 0 to 1.
+        """
+        share = as_scalar(share, "ControlLoop.set_override: share", open_low=False, high=1.0)
+        self._calls.append(lambda: self.controller.set_override(share))
+
+    def stop(self, reason: str = "stopped by its operator") -> None:
+        """Brake all arms together, and end the run at rest."""
+        self._calls.append(lambda: self._end(reason, failed=True))
+
+    def beat(self) -> None:
+        """Say that the operator is there: the heartbeat of ``LoopOptions.heartbeat``."""
+        self._beaten = self._time.now()
+
+    def stop_drivers(self) -> None:
+        """Stop every robot by its driver at once; nothing is sent again. For a second interrupt and after errors."""
+        for robot in self.robots:
+            try:
+                robot.driver.stop()
+            except Exception as error:
+                warnings.warn(f"driver '{robot.name}' failed to stop: {error}", RuntimeWarning, stacklevel=2)
+
+    def _go_on(self) -> None:
+        if any(watch.condition() in _STANDS for watch in self._watches):
+            return
+        self.controller.resume()
+        self._ramp = self._now
+
+    def _end(self, reason: str, *, failed: bool) -> None:
+        if not self._ending:
+            self._ending, self._failed = reason, failed
+
+    # -- before the motion -----------------------------------------------------------------------------------------
+
+    def refused(self) -> list[str]:
+        """Connect, wait for the states of all robots, and say why the cell would not be driven, a sentence each.
+
+        Raises:
+            DriverError: a robot cannot be reached, or tells no state.
+        """
+        for robot in self.robots:
+            robot.driver.connect()
+        limit = self._time.now() + self.options.connect_time
+        while any(watch.state is None for watch in self._watches):
+            now = self._time.now()
+            for watch in self._watches:
+                watch.read(now)
+            silent = [watch.robot.name for watch in self._watches if watch.state is None]
+            if silent and now > limit:
+                raise DriverError(
+                    f"robot '{silent[0]}' tells no state within {self.options.connect_time:g} s. "
+                    "Look at its address, its network and whether its program runs."
+                )
+            self._time.sleep_until(now + self.period)
+        tells = all(watch.state is not None and watch.state.target is not None for watch in self._watches)
+        said = refusals(self.controller, self.robots, period=self.period, tells_target=tells)
+        for watch in self._watches:
+            if watch.condition() in _STANDS:
+                said.append(f"robot '{watch.robot.name}' says {watch.condition().value}. Release it first.")
+            if self._wrenches and watch.state is not None and watch.state.wrench is None:
+                said.append(f"robot '{watch.robot.name}' tells no wrench, and a ForceController needs one for each arm.")
+        return said
+
+    def _start(self) -> None:
+        """Reset the controller where the robots stand."""
+        said = self.refused()
+        if said:
+            raise DriverError("not driven: " + " ".join(said))
+        readings, targets = [], np.full(self.cell.nv, np.nan)
+        until = self._time.now() + self.options.rest_time
+        while True:
+            now = self._time.now()
+            x = np.full(self.cell.nv, np.nan)
+            for watch in self._watches:
+                watch.read(now)
+                assert watch.state is not None
+                joints = watch.robot.joints
+                x[joints] = watch.state.q
+                targets[joints] = watch.state.q if watch.state.target is None else watch.state.target
+            readings.append(self.cell.configuration_of(x))
+            if now >= until:
+                break
+            self._time.sleep_until(now + self.period)
+        q = self.cell.average(readings)
+        told = all(watch.state is not None and watch.state.target is not None for watch in self._watches)
+        if told:
+            self.controller.reset(q, commanded=self.cell.configuration_of(targets))
+        else:
+            self.controller.reset(q)
+        inner = getattr(self.controller, "controller", self.controller)
+        first = self.cell.positions(inner.commanded)
+        where = targets if told else self.cell.positions(q)
+        away = np.abs(np.where(self.cell.continuous, np.angle(np.exp(1j * (first - where))), first - where))
+        if away.max() > self.options.start_tolerance:
+            j = int(np.argmax(away))
+            raise DriverError(
+                f"not driven: the first command of joint {self.cell.joint_names[j]} is {1e3 * away[j]:.1f} mrad from "
+                f"where its servo is, and may be {1e3 * self.options.start_tolerance:.1f}. Move the arms to the start."
+            )
+        self._last_q = first
+        self._motion = SharedMotion(
+            self.cell, self.robots, first, clock=0.0, command_period=self.controller.dt, period=self.period,
+            lead=self.lead, options=self.options,
+        )  # fmt: skip
+
+    # -- the run ---------------------------------------------------------------------------------------------------
+
+    def run(self) -> LoopReport:
+        """Drive the robots until the object is at the end of its path, or something ends the run.
+
+        Raises:
+            DriverError: a robot cannot be reached, or the cell is not driven as it is; nothing has moved.
+            InvalidInputError: the arms do not hold the object where they stand.
+            RuntimeError: a second run at the same time.
+        """
+        if not self._lock.acquire(blocking=False):
+            raise RuntimeError("this loop runs")
+        try:
+            self._ending, self._failed = "", False
+            self._start()
+            return self._run()
+        except BaseException:
+            self.stop_drivers()
+            raise
+        finally:
+            self._lock.release()
+
+    def _run(self) -> LoopReport:
+        motion, time, h = self._motion, self._time, self.period
+        assert motion is not None
+        self._step: ControlStep | None = None
+        self._off, self._measured = np.zeros(self.cell.nv), np.full(self.cell.nv, np.nan)
+        self._statuses: Counter[str] = Counter()
+        self._finish, self._still, self._settled, self._stops = math.inf, 0.0, 0.0, 0
+        self._arrived = math.nan
+        self._missing: Counter[str] = Counter()
+        self._looks: list[Array] = []
+        self._force, self._slowest, self._standing = math.nan, 1.0, False
+        self._now = self._ramp = began = time.now()
+        self._beaten = max(self._beaten, began)
+        deadline, periods, missed, late = began, 0, 0, []
+        while True:
+            time.sleep_until(deadline)
+            self._now = now = time.now()
+            late.append(now - deadline)
+            if now > deadline + h:  # no catching up
+                left_out = int((now - deadline) / h)
+                missed += left_out
+                deadline += left_out * h
+            self._period(now, deadline)
+            periods += 1
+            deadline += h
+            if self._over():
+                break
+        self._drain()
+        self.stop_drivers()
+        ended = now if math.isnan(self._arrived) else self._arrived
+        return self._report(ended - began, periods, missed, np.array(late))
+
+    def _drain(self) -> None:
+        while self._calls:
+            self._calls.popleft()()
+
+    def _period(self, now: float, deadline: float) -> None:
+        motion, controller = self._motion, self.controller
+        assert motion is not None
+        self._drain()
+        if self.options.heartbeat is not None and now - self._beaten > self.options.heartbeat:
+            self._end("the operator's heartbeat stopped", failed=True)
+        said = self._look(now)
+        braking = bool(self._ending)
+        while motion.needs_command():
+            self._advance()
+        ramp = 1.0 if self.options.ramp_time == 0.0 else (now - self._ramp) / self.options.ramp_time
+        sent = motion.step(deadline, most=min(max(ramp, 0.1), 1.0), said=said, stand=braking)
+        self._slowest = min(self._slowest, motion.law.rate)
+        before = motion._before
+        for watch in self._watches:
+            joints = watch.robot.joints
+            velocity = (sent[joints] - before[joints]) / self.period
+            watch.robot.driver.send(Command(sent[joints], velocity, deadline + self.lead - watch.offset))
+        if self._recorder is not None:
+            self._recorder.take(now, self._measured, sent, self._step)
+        if motion.law.stopped and not braking:
+            self._settled = self._settled + self.period if motion.rests() else 0.0
+            if self._settled >= _SETTLED:
+                self._seat()
+        else:
+            self._settled = 0.0
+        controller_holds = self._step is not None and self._step.status in (
+            Status.HOLDING, Status.FAULT, Status.BLOCKED,
+        )  # fmt: skip
+        self._still = self._still + self.period if controller_holds else 0.0
+        if self._still > self.options.give_up_after and self._step is not None:
+            self._end(self._step.explain(), failed=True)
+
+    def _look(self, now: float) -> Array:
+        """Read all robots; say which of them have stopped (robots,)."""
+        motion = self._motion
+        assert motion is not None
+        said = np.zeros(len(self.robots), dtype=bool)
+        for k, watch in enumerate(self._watches):
+            watch.read(now)
+            joints = watch.robot.joints
+            condition = watch.condition()
+            said[k] = condition in _STANDS
+            if condition is Condition.FAULT:
+                self._end(f"robot '{watch.robot.name}' says fault", failed=True)
+            if watch.missing(now):
+                motion.lose(k)
+                self._missing[watch.robot.name] += 1
+                self._off[joints] = self._measured[joints] = np.nan
+                if watch.age(now) > self.options.gone_after:
+                    self._end(
+                        f"robot '{watch.robot.name}' told no state for {1e3 * watch.age(now):.0f} ms, and where it "
+                        "stands is not known",
+                        failed=True,
+                    )
+                continue
+            assert watch.state is not None
+            q, moment = watch.aligned(now)
+            self._measured[joints] = q
+            if watch.fresh or np.isnan(self._off[joints]).any():
+                self._off[joints] = motion.watch(k, watch.state, watch.moment, q, moment)
+        self._looked = getattr(self, "_looked", 0) + 1
+        if self._looked % _LOOK == 0:
+            self._looks.append(self._measured.copy())
+        return said
+
+    def _advance(self) -> None:
+        """The controller's next command becomes the next point of the way."""
+        motion, cell = self._motion, self.cell
+        assert motion is not None
+        x = motion.way.last
+        measured = cell.configuration_of(x + self._off)
+        if self._wrenches:
+            step = self.controller.step(measured, wrenches=self._felt())
+        else:
+            step = self.controller.step(measured)
+        self._step = step
+        self._statuses[step.status.value] += 1
+        positions = cell.positions(step.q_next)
+        way = positions - self._last_q
+        if not cell.euclidean:
+            way = np.where(cell.continuous, np.remainder(way + np.pi, 2.0 * np.pi) - np.pi, way)
+        self._last_q = positions
+        motion.way.append(x + way, step.clock_next)
+        if step.finished and not math.isfinite(self._finish):
+            self._finish = motion.way.head
+
+    def _felt(self) -> Array:
+        """The wrench of each arm on the object (N, 6); NaN where it is missing or old."""
+        wrenches = np.full((len(self.cell), 6), np.nan)
+        for watch in self._watches:
+            if watch.state is None or watch.missing(self._now) or watch.state.wrench is None:
+                continue
+            wrench = watch.state.wrench
+            for k in watch.robot.arms:
+                own = wrench.get(self.cell.arm_names[k]) if isinstance(wrench, Mapping) else wrench
+                if own is not None:
+                    wrenches[k] = own
+        sizes = np.linalg.norm(wrenches[:, :3], axis=1)
+        if np.isfinite(sizes).any():
+            self._force = max(float(np.nanmax(sizes)), 0.0 if math.isnan(self._force) else self._force)
+        return wrenches
+
+    def _seat(self) -> None:
+        """All stand where the slowest stands: the controller begins again there, paused."""
+        motion = self._motion
+        assert motion is not None
+        clock = motion.clock()
+        q = self.cell.configuration_of(motion.shared.point)
+        self.controller.pause()
+        self.controller.reset(q, clock=clock)
+        self._last_q = self.cell.positions(q)
+        motion.restart()
+        self._settled, self._finish, self._arrived = 0.0, math.inf, math.nan
+        self._stops += 1
+
+    def _over(self) -> bool:
+        motion = self._motion
+        assert motion is not None
+        if self._ending:
+            return motion.speed() < 1e-6
+        if not math.isfinite(self._finish):
+            return False
+        if math.isnan(self._arrived):
+            rest = motion.way.value(self._finish) - motion.way.value(motion.play_out.parameter)
+            if np.abs(rest).max() < _ARRIVED:
+                self._arrived = self._now
+        if motion.play_out.parameter >= self._finish and motion.speed() < 1e-6:
+            self._end("the object is at the end of its path", failed=False)
+            return True
+        return False
+
+    def _report(self, time: float, periods: int, missed: int, late: Array) -> LoopReport:
+        motion = self._motion
+        assert motion is not None
+        names = [robot.name for robot in self.robots]
+        return LoopReport(
+            finished=not self._failed,
+            reason=self._ending,
+            time=time,
+            lost_time=dict(zip(names, motion.law.lost.tolist(), strict=True)),
+            slowest_rate=self._slowest,
+            stops=self._stops,
+            periods=periods,
+            late=int((late > 0.5 * self.period).sum()),
+            missed=missed,
+            lateness=(float(np.median(late)), float(np.percentile(late, 99.0)), float(late.max())),
+            lost={watch.robot.name: watch.lost for watch in self._watches},
+            missing={name: self._missing[name] for name in names},
+            lags=dict(zip(names, motion.lag.tolist(), strict=True)),
+            commands=periods,
+            guarded=motion.play_out.guarded,
+            velocity=motion.velocity_share,
+            acceleration=motion.acceleration_share,
+            apart=self._apart(),
+            largest_force=self._force,
+            statuses=dict(self._statuses),
+        )
+
+    def _apart(self) -> float:
+        """Largest distance between the arms' views of the object, as measured [m]."""
+        from coopqp.model.state import CellState
+
+        found = math.nan
+        for x in self._looks:
+            if np.isfinite(x).all():
+                state = CellState(self.cell, self.cell.configuration_of(x))
+                errors = self.controller.grasp.relative_errors(state)
+                most = float(np.linalg.norm(errors[:, :3], axis=1).max(initial=0.0))
+                found = most if math.isnan(found) else max(found, most)
+        return found
