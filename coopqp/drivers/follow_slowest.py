@@ -1,8 +1,8 @@
 """The rate of the shared clock: as fast as the slowest arm, and back along the way when an arm has stopped.
 
 The lateness e of an arm is the time along the way by which it is behind the point where all arms should be. The clock
-runs at w = 1 − g (e − e₀)⁺ − ∫, with an integral that leaks; with w ≈ 0 and an arm at rest the clock goes back until the
-others stand where it stands.
+runs at w = 1 − g (e − e₀)⁺ − I, with an integral I that leaks; with w ≈ 0 and an arm at rest the clock goes back until
+the others stand where it stands.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ SLOWEST, FASTEST = -0.5, 1.0
 #: An arm stands below the first rate, and moves again above the second; the clock stands below the third.
 STANDS, MOVES, CLOCK_STANDS = 0.05, 0.15, 0.01
 #: The way back to an arm that stopped: gain [1/s], and how far from it the others stay [s].
-BACK_GAIN, BACK_FREE = 12.0, 3e-4
+BACK_GAIN, BACK_FREE = 12.0, 1e-4
 #: Filter of an arm's own rate [s].
 _RATE_FILTER = 0.02
 
@@ -50,28 +50,23 @@ class FollowSlowest:
         self.lost = np.zeros(arms)
         self._integral = 0.0
         self._own = np.ones(arms)
-        self._last = np.zeros(arms)
-        self._known = np.zeros(arms, dtype=bool)
 
     def restart(self) -> None:
         """Forget what was behind, at rest."""
         self.rate, self.stopped, self._integral = 1.0, False, 0.0
-        self._own[:], self._last[:], self._known[:] = 1.0, 0.0, False
+        self._own[:] = 1.0
 
-    def step(self, lateness: Array, expected: Array, said: Array) -> float:
+    def step(self, lateness: Array, own: Array, said: Array) -> float:
         """Take what is known of the arms; return w.
 
         Args:
             lateness: e of each arm (arms,) [s]; NaN where it is not known.
-            expected: the rate at which each arm should be on its way (arms,).
+            own: the rate at which each arm goes along the way (arms,).
             said: whether each arm says that it has stopped (arms,).
         """
         known = np.isfinite(lateness)
-        both = known & self._known
-        own = expected - np.where(both, lateness - self._last, 0.0) / self._h
-        self._own += np.where(both, self._h / (_RATE_FILTER + self._h), 0.0) * (own - self._own)
-        self._last = np.where(known, lateness, self._last)
-        self._known = known
+        share = self._h / (_RATE_FILTER + self._h)
+        self._own += np.where(known, share * (own - self._own), 0.0)
         if not known.any():
             e = 0.0
         else:

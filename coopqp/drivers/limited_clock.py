@@ -9,6 +9,7 @@ from __future__ import annotations
 from typing import final
 
 import numpy as np
+import numpy.typing as npt
 
 from coopqp.drivers.command_spline import CommandSpline
 from coopqp.spatial import Array
@@ -60,10 +61,9 @@ class LimitedClock:
         self._before, self.point = self.point, self._spline.value(self.sigma)
         return self.point
 
-    def _allowed(self, rates: Array) -> Array:
+    def _allowed(self, rates: Array) -> npt.NDArray[np.bool_]:
         """Which of some rates (m,) keep the limits."""
         step = self._spline.values(self.sigma + rates * self._h) - self.point
         change = step - (self.point - self._before)
         fits = (np.abs(step) <= self._most) & (np.abs(change) <= self._most_change)
-        result: Array = fits.all(axis=1)
-        return result
+        return np.asarray(fits.all(axis=1))

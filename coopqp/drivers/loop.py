@@ -20,7 +20,7 @@ from coopqp.drivers.driver import Command, Condition, DriverError, RobotDriver
 from coopqp.drivers.motion import SharedMotion
 from coopqp.drivers.options import LoopOptions
 from coopqp.drivers.report import LoopReport
-from coopqp.drivers.robots import refusals, robots_of
+from coopqp.drivers.robots import refusals, robots_of, turned
 from coopqp.drivers.timing import LoopTime, MonotonicTime
 from coopqp.drivers.watch import RobotWatch
 from coopqp.errors import InvalidInputError
@@ -81,7 +81,9 @@ class ControlLoop:
         for method in ("reset", "step", "pause", "resume", "set_override"):
             if not callable(getattr(controller, method, None)):
                 raise InvalidInputError(
-                    f"a {type(controller).__name__} has no {method}()", "ControlLoop: controller", "Give a QPController."
+                    f"a {type(controller).__name__} has no {method}()",
+                    "ControlLoop: controller",
+                    "Give a QPController.",
                 )
         self.controller, self.cell = controller, controller.cell
         self.options = as_options(LoopOptions, options, "ControlLoop: options")
@@ -98,6 +100,7 @@ class ControlLoop:
         self._ending = ""
         self._failed = False
         self._motion: SharedMotion | None = None
+        self._now = -math.inf
 
     # -- operators' calls ------------------------------------------------------------------------------------------
 
@@ -138,7 +141,9 @@ class ControlLoop:
         if any(watch.condition() in _STANDS for watch in self._watches):
             return
         self.controller.resume()
-        self._ramp = self._now
+        self._ramp, self._ramp_time, self._standing = self._now, self.options.resume_time, False
+        if self._motion is not None:
+            self._motion.law.restart()
 
     def _end(self, reason: str, *, failed: bool) -> None:
         if not self._ending:
@@ -172,7 +177,9 @@ class ControlLoop:
             if watch.condition() in _STANDS:
                 said.append(f"robot '{watch.robot.name}' says {watch.condition().value}. Release it first.")
             if self._wrenches and watch.state is not None and watch.state.wrench is None:
-                said.append(f"robot '{watch.robot.name}' tells no wrench, and a ForceController needs one for each arm.")
+                said.append(
+                    f"robot '{watch.robot.name}' tells no wrench, and a ForceController needs one for each arm."
+                )
         return said
 
     def _start(self) -> None:
@@ -203,8 +210,7 @@ class ControlLoop:
             self.controller.reset(q)
         inner = getattr(self.controller, "controller", self.controller)
         first = self.cell.positions(inner.commanded)
-        where = targets if told else self.cell.positions(q)
-        away = np.abs(np.where(self.cell.continuous, np.angle(np.exp(1j * (first - where))), first - where))
+        away = np.abs(turned(self.cell, first - targets))
         if away.max() > self.options.start_tolerance:
             j = int(np.argmax(away))
             raise DriverError(
@@ -249,8 +255,10 @@ class ControlLoop:
         self._arrived = math.nan
         self._missing: Counter[str] = Counter()
         self._looks: list[Array] = []
+        self._looked = 0
         self._force, self._slowest, self._standing = math.nan, 1.0, False
         self._now = self._ramp = began = time.now()
+        self._ramp_time = self.options.ramp_time
         self._beaten = max(self._beaten, began)
         deadline, periods, missed, late = began, 0, 0, []
         while True:
@@ -276,7 +284,7 @@ class ControlLoop:
             self._calls.popleft()()
 
     def _period(self, now: float, deadline: float) -> None:
-        motion, controller = self._motion, self.controller
+        motion = self._motion
         assert motion is not None
         self._drain()
         if self.options.heartbeat is not None and now - self._beaten > self.options.heartbeat:
@@ -285,17 +293,18 @@ class ControlLoop:
         braking = bool(self._ending)
         while motion.needs_command():
             self._advance()
-        ramp = 1.0 if self.options.ramp_time == 0.0 else (now - self._ramp) / self.options.ramp_time
-        sent = motion.step(deadline, most=min(max(ramp, 0.1), 1.0), said=said, stand=braking)
+        ramp = 1.0 if self._ramp_time == 0.0 else (now - self._ramp) / self._ramp_time
+        ramp = 0.1 + 0.9 * min(ramp, 1.0)
+        sent = motion.step(deadline, most=ramp, said=np.zeros_like(said) if self._standing else said, stand=braking)
         self._slowest = min(self._slowest, motion.law.rate)
-        before = motion._before
+        before = motion.before
         for watch in self._watches:
             joints = watch.robot.joints
             velocity = (sent[joints] - before[joints]) / self.period
             watch.robot.driver.send(Command(sent[joints], velocity, deadline + self.lead - watch.offset))
         if self._recorder is not None:
             self._recorder.take(now, self._measured, sent, self._step)
-        if motion.law.stopped and not braking:
+        if motion.law.stopped and not braking and not self._standing:
             self._settled = self._settled + self.period if motion.rests() else 0.0
             if self._settled >= _SETTLED:
                 self._seat()
@@ -336,7 +345,7 @@ class ControlLoop:
             self._measured[joints] = q
             if watch.fresh or np.isnan(self._off[joints]).any():
                 self._off[joints] = motion.watch(k, watch.state, watch.moment, q, moment)
-        self._looked = getattr(self, "_looked", 0) + 1
+        self._looked += 1
         if self._looked % _LOOK == 0:
             self._looks.append(self._measured.copy())
         return said
@@ -354,11 +363,8 @@ class ControlLoop:
         self._step = step
         self._statuses[step.status.value] += 1
         positions = cell.positions(step.q_next)
-        way = positions - self._last_q
-        if not cell.euclidean:
-            way = np.where(cell.continuous, np.remainder(way + np.pi, 2.0 * np.pi) - np.pi, way)
+        motion.way.append(x + turned(cell, positions - self._last_q), step.clock_next)
         self._last_q = positions
-        motion.way.append(x + way, step.clock_next)
         if step.finished and not math.isfinite(self._finish):
             self._finish = motion.way.head
 
@@ -390,6 +396,7 @@ class ControlLoop:
         motion.restart()
         self._settled, self._finish, self._arrived = 0.0, math.inf, math.nan
         self._stops += 1
+        self._standing = True
 
     def _over(self) -> bool:
         motion = self._motion

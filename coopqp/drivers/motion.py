@@ -3,22 +3,24 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any, final
+from typing import final
 
 import numpy as np
 
 from coopqp.drivers.command_spline import CommandSpline
-from coopqp.drivers.follow_slowest import FollowSlowest
 from coopqp.drivers.driver import RobotState
+from coopqp.drivers.follow_slowest import FollowSlowest
 from coopqp.drivers.limited_clock import LimitedClock
 from coopqp.drivers.options import LoopOptions
 from coopqp.drivers.play_out import PlayOut
-from coopqp.drivers.robots import Robot
+from coopqp.drivers.robots import Robot, turned
 from coopqp.model.cell import RobotCell
 from coopqp.spatial import Array
 
 #: Lags are learnt up to this [s], where a robot moves at this share of its speed limits at least.
-LONGEST_LAG, _SLOW = 0.15, 5e-4
+LONGEST_LAG, _LEARNS_FROM = 0.15, 1e-3
+#: Below this share of its speed limits a robot's place says little of how late it is.
+_SLOW = 5e-3
 #: Periods of the history of the shared clock.
 _HISTORY = 1024
 
@@ -42,6 +44,7 @@ class SharedMotion:
         play_out: what is sent.
         law: the rate.
         lag: lag of each robot, as told or learnt so far (robots,) [s].
+        sent, before: the commands of the last period and of the one before (nv,) [rad or m].
         lateness: of each robot along the way (robots,) [s]; NaN while it is not known.
     """
 
@@ -77,14 +80,18 @@ class SharedMotion:
         self._lead = lead
         self._wait = lead + float(delay.max(initial=0.0))
         self.lateness = np.full(n, np.nan)
-        self._expected = np.zeros(n)
+        #: The rate at which each robot goes along the way, and where it was seen last, at what time.
+        self._own = np.zeros(n)
+        self._seen: list[tuple[float, Array] | None] = [None] * n
         self._learnt = False
         self._times = np.full(_HISTORY, -np.inf)
         self._past = np.zeros((_HISTORY, 2))
-        self._sent_past = np.zeros((_HISTORY, cell.nv))
+        #: What was sent, and where joints and targets should be with their lags behind it (…, 3, nv).
+        self._sent_past = np.zeros((_HISTORY, 3, cell.nv))
+        self._followed = np.tile(x, (3, 1))
         self._at = -1
         self.velocity_share = self.acceleration_share = 0.0
-        self.sent = self._before = x.copy()
+        self.sent = self.before = x.copy()
 
     def joints(self, values: Array) -> Array:
         """A value of each robot for each of its joints (nv,)."""
@@ -121,15 +128,15 @@ class SharedMotion:
         value = (1.0 - u) * self._past[i] + u * self._past[j]
         return float(value[0]), float(value[1])
 
-    def _commanded(self, k: int, moment: float) -> Array:
-        """What robot k was to follow at a time (n,)."""
+    def _commanded(self, k: int, which: int, moment: float) -> Array:
+        """What robot k was to follow at a time (n,): 0 as sent, 1 its joints with their lag, 2 its target with its."""
         i, j, u = self._between(moment - self._lead - self._delay[k])
         joints = self._robots[k].joints
-        value: Array = (1.0 - u) * self._sent_past[i, joints] + u * self._sent_past[j, joints]
+        value: Array = (1.0 - u) * self._sent_past[i, which, joints] + u * self._sent_past[j, which, joints]
         return value
 
     def watch(self, k: int, state: RobotState, moment: float, q: Array, aligned: float) -> Array:
-        """Take where robot k is; return how far off the way it is (n,), what is along it aside.
+        """Take where robot k is; return how far it is from where it should be (n,), what is along the way aside.
 
         Args:
             k: index of the robot.
@@ -139,59 +146,53 @@ class SharedMotion:
         joints = self._robots[k].joints
         scale = 1.0 / self._cell.limits.velocity[joints] ** 2
         p, rate = self.expected(aligned)
-        late, slope = self._behind(joints, q, p, 0.0, scale)
-        off: Array = self._wrapped(q - self.way.value(p)[joints], joints) + late * slope
-        seen, at = late, rate
+        slope = self.way.slope(p)[joints]
+        away = turned(self._cell, q - self._commanded(k, 1, aligned), joints)
+        seen = _behind(away, slope, scale, _SLOW)
+        off: Array = away + _behind(away, slope, scale, 1e-2 * _SLOW) * slope
         learns = self._learning[k] > 0.0
         if learns:
             self._learn(k, state, moment, scale)
         if state.target is not None:
-            p, at = self.expected(moment)
-            seen, _ = self._behind(joints, state.target, p, (self.lag[k] - self.target_lag[k]) * at, scale)
+            from_target = turned(self._cell, state.target - self._commanded(k, 2, moment), joints)
+            seen = _behind(from_target, slope, scale, _SLOW)
         if learns and seen > 0.0:
             # What may be lag is no lateness yet; an arm that stops is soon behind more than that.
             unknown = LONGEST_LAG if self._unknown[k] else self.lag[k]
             left = self._learning[k] / self._options.learning_time
-            seen = max(seen - unknown * left * max(at, 0.0), 0.0)
-        self.lateness[k], self._expected[k] = seen, at
+            seen = max(seen - unknown * left * max(rate, 0.0), 0.0)
+        self.lateness[k] = seen
+        place = np.asarray(state.q if state.target is None else state.target, dtype=float)
+        last = self._seen[k]
+        if last is not None and moment > last[0]:
+            moved = turned(self._cell, place - last[1], joints) / (moment - last[0])
+            self._own[k] = -_behind(moved, slope, scale, _SLOW)
+        self._seen[k] = moment, place.copy()
         return off
-
-    def _behind(self, joints: Any, x: Array, p: float, ahead: float, scale: Array) -> tuple[float, Array]:
-        """How far positions (n,) are behind the way's point of p, moved on by a time [s]; and the way's slope there."""
-        slope = self.way.slope(p)[joints]
-        away = self._wrapped(x - self.way.value(p)[joints], joints) - ahead * slope
-        return -float(away @ (scale * slope)) / (float(slope @ (scale * slope)) + _SLOW**2), slope
 
     def _learn(self, k: int, state: RobotState, moment: float, scale: Array) -> None:
         """Learn the lag of a robot, L ẏ = u − y for a first-order one, and that of its target."""
         joints = self._robots[k].joints
-        wanted = self._commanded(k, moment)
+        wanted = self._commanded(k, 0, moment)
         speed = np.asarray(state.velocity, dtype=float)
         size = float(speed @ (scale * speed))
-        if not size > 4.0 * _SLOW**2:
+        if not size > _LEARNS_FROM**2:
             return
         self._learning[k] -= self._h
         if self._unknown[k]:
-            self.lag[k] = self._take(k, 0, self._wrapped(wanted - state.q, joints), speed, scale)
+            self.lag[k] = self._take(k, 0, turned(self._cell, wanted - state.q, joints), speed, scale)
             self._learnt = True
         if state.target is not None:
             last = self._targets.get(k)
             if last is not None and state.stamp > last[0]:
-                moves = self._wrapped(state.target - last[1], joints) / (state.stamp - last[0])
-                self.target_lag[k] = self._take(k, 1, self._wrapped(wanted - state.target, joints), moves, scale)
+                moves = turned(self._cell, state.target - last[1], joints) / (state.stamp - last[0])
+                self.target_lag[k] = self._take(k, 1, turned(self._cell, wanted - state.target, joints), moves, scale)
             self._targets[k] = state.stamp, np.array(state.target)
 
     def _take(self, k: int, which: int, away: Array, speed: Array, scale: Array) -> float:
         sums = self._sums[k, which]
         sums += float(away @ (scale * speed)), float(speed @ (scale * speed))
         return min(max(float(sums[0] / sums[1]), 0.0), LONGEST_LAG) if sums[1] > 0.0 else 0.0
-
-    def _wrapped(self, x: Array, joints: Array) -> Array:
-        """Differences of joint positions (n,); those of continuous joints in (−π, π]."""
-        if self._cell.euclidean:
-            return x
-        turned = np.remainder(x + np.pi, 2.0 * np.pi) - np.pi
-        return np.where(self._cell.continuous[joints], turned, x)
 
     def lose(self, k: int) -> None:
         """It is not known where robot k is."""
@@ -212,7 +213,7 @@ class SharedMotion:
             said: which robots say that they have stopped (robots,).
             stand: brake, and stay where the brake ends.
         """
-        rate = self.law.step(self.lateness, self._expected, said)
+        rate = self.law.step(self.lateness, self._own, said)
         play_out, shared = self.play_out, self.shared
         if stand:
             wanted = 0.0
@@ -229,13 +230,25 @@ class SharedMotion:
         self._at = (self._at + 1) % _HISTORY
         self._times[self._at] = moment
         self._past[self._at] = play_out.parameter, play_out.rate
-        self._sent_past[self._at] = self.sent
+        self._follow(before)
         self._account(before)
         return self.sent
 
+    def _follow(self, before: Array) -> None:
+        """Where joints and targets should be: L ẏ = u − y, for what is sent in straight lines between two periods."""
+        h, u, slope = self._h, self.sent, (self.sent - before) / self._h
+        rows = self._sent_past[self._at]
+        rows[0] = u
+        for which, lags in ((1, self.lag), (2, self.target_lag)):
+            L = self.joints(lags)
+            with np.errstate(divide="ignore"):
+                left = np.exp(-h / L)  # 0 without a lag
+            rows[which] = u - L * slope + left * (self._followed[which] - before + L * slope)
+        self._followed = rows.copy()
+
     def _account(self, before: Array) -> None:
-        step, last = self.sent - before, before - self._before
-        self._before = before
+        step, last = self.sent - before, before - self.before
+        self.before = before
         limits = self._cell.limits
         self.velocity_share = max(self.velocity_share, float((np.abs(step) / (limits.velocity * self._h)).max()))
         change = np.abs(step - last) / (limits.acceleration * self._h**2)
@@ -245,7 +258,7 @@ class SharedMotion:
 
     def speed(self) -> float:
         """Largest speed of what is sent [rad/s or m/s]."""
-        return float(np.abs(self.sent - self._before).max() / self._h)
+        return float(np.abs(self.sent - self.before).max() / self._h)
 
     def rests(self) -> bool:
         """Whether nothing moves: the clock stands, and low pass and addition have come to its point."""
@@ -266,3 +279,12 @@ class SharedMotion:
         if self._learnt:
             self.play_out.retune(self.joints(self.lag))
             self._learnt = False
+
+
+def _behind(away: Array, slope: Array, scale: Array, least: float) -> float:
+    """By how much positions that are ``away`` (n,) from where they should be are late on their way [s].
+
+    Where the way's slope, as a share of the speed limits, comes near to ``least``, less and less is said.
+    """
+    weighted = scale * slope
+    return -float(away @ weighted) / (float(slope @ weighted) + least**2)

@@ -20,9 +20,7 @@ class LoopOptions:
     """Settings of a :class:`coopqp.drivers.ControlLoop`."""
 
     period: Annotated[float | None, Doc("time between two commands [s]; None for the controller's dt")] = None
-    lead: Annotated[
-        float | None, Doc("how long before it holds a command is sent [s]; None for two periods")
-    ] = None
+    lead: Annotated[float | None, Doc("how long before it holds a command is sent [s]; None for two periods")] = None
     patience: Annotated[
         float | None,
         Doc("age at which a state counts as missing [s]; None for two periods of the robot, and 5 ms at least"),
@@ -30,7 +28,11 @@ class LoopOptions:
     gone_after: Annotated[float, Doc("age of the last state at which a robot counts as gone, and the run ends [s]")] = (
         0.1
     )
-    ramp_time: Annotated[float, Doc("time in which the speed rises from a tenth after each start [s]")] = 0.1
+    ramp_time: Annotated[float, Doc("time in which the speed rises from a tenth at the start [s]")] = 0.1
+    resume_time: Annotated[
+        float,
+        Doc("the same after a pause or a stop, where the object has to get up speed in the middle of its path [s]"),
+    ] = 1.0
     addition: Annotated[
         float, Doc("share of the joints' limits for the correction that puts the tools, not the joints, together")
     ] = 0.05
@@ -59,7 +61,7 @@ class LoopOptions:
         if self.patience is not None:
             keep_scalars(self, "patience")
         keep_scalars(self, "gone_after", "start_tolerance", "connect_time", "give_up_after")
-        keep_scalars(self, "ramp_time", "learning_time", "rest_time", open_low=False)
+        keep_scalars(self, "ramp_time", "resume_time", "learning_time", "rest_time", open_low=False)
         keep_scalars(self, "addition", "learning_addition", high=0.5, open_low=False)
         if self.heartbeat is not None:
             keep_scalars(self, "heartbeat", high=LONGEST_HEARTBEAT)

@@ -10,8 +10,10 @@ import numpy as np
 import numpy.typing as npt
 
 from coopqp.drivers.driver import RobotDriver
+from coopqp.drivers.options import LONGEST_PERIOD
 from coopqp.errors import InvalidInputError
 from coopqp.model.cell import RobotCell
+from coopqp.spatial import Array
 
 _METHODS = ("connect", "read", "send", "stop")
 
@@ -45,7 +47,8 @@ def robots_of(cell: RobotCell, drivers: Mapping[str, RobotDriver]) -> tuple[Robo
     """
     if not isinstance(drivers, Mapping) or not drivers:
         raise InvalidInputError("no drivers", "ControlLoop: drivers", "Give a mapping from arm to driver.")
-    found, owner = [], {}
+    found: list[Robot] = []
+    owner: dict[str, str] = {}
     for name, driver in drivers.items():
         where = f"ControlLoop: driver '{name}'"
         missing = [m for m in _METHODS if not callable(getattr(driver, m, None))]
@@ -78,6 +81,14 @@ def robots_of(cell: RobotCell, drivers: Mapping[str, RobotDriver]) -> tuple[Robo
     return tuple(found)
 
 
+def turned(cell: RobotCell, x: Array, joints: npt.NDArray[np.intp] | None = None) -> Array:
+    """Differences of joint positions (n,), of all joints or of some; those of continuous joints in (−π, π]."""
+    if cell.euclidean:
+        return x
+    continuous = cell.continuous if joints is None else cell.continuous[joints]
+    return np.where(continuous, np.remainder(x + np.pi, 2.0 * np.pi) - np.pi, x)
+
+
 def refusals(controller: Any, robots: tuple[Robot, ...], *, period: float, tells_target: bool) -> list[str]:
     """Why a cell is not driven, a sentence each; empty if it may be.
 
@@ -87,8 +98,6 @@ def refusals(controller: Any, robots: tuple[Robot, ...], *, period: float, tells
         period: of the loop [s].
         tells_target: all robots tell what their servos track.
     """
-    from coopqp.drivers.options import LONGEST_PERIOD
-
     cell: RobotCell = controller.cell
     said = []
     unlimited = np.flatnonzero(~np.isfinite(cell.limits.acceleration))
@@ -105,8 +114,11 @@ def refusals(controller: Any, robots: tuple[Robot, ...], *, period: float, tells
         said.append(f"the period is {1e3 * period:g} ms: {1e3 * LONGEST_PERIOD:g} ms at most.")
     inner = getattr(controller, "controller", controller)
     stiffness = getattr(getattr(getattr(inner, "options", None), "supervision", None), "stiffness", None)
-    if not tells_target and stiffness is None and len(cell) > 1 and any(
-        robot.driver.commands == "position" for robot in robots
+    if (
+        not tells_target
+        and stiffness is None
+        and len(cell) > 1
+        and any(robot.driver.commands == "position" for robot in robots)
     ):
         said.append(
             "a position servo tells no target, and nothing is told of its stiffness: a rigid grip would hide an arm "
