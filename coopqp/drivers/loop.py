@@ -19,6 +19,7 @@ from coopqp.control.interface import ControlStep, Status
 from coopqp.drivers.driver import Command, Condition, DriverError, RobotDriver
 from coopqp.drivers.motion import SharedMotion
 from coopqp.drivers.options import LoopOptions
+from coopqp.drivers.process import prepare_process
 from coopqp.drivers.report import LoopReport
 from coopqp.drivers.robots import refusals, robots_of, turned
 from coopqp.drivers.timing import LoopTime, MonotonicTime
@@ -39,14 +40,15 @@ _LOOK = 10
 class LoopRecorder(Protocol):
     """Gets what each period did."""
 
-    def take(self, moment: float, measured: Array, sent: Array, step: ControlStep | None) -> None:
-        """One period.
+    def take(self, moment: float, measured: Array, sent: Array, step: ControlStep, clock: float) -> None:
+        """One period. Arrays change after it: copy what is kept.
 
         Args:
             moment: its beginning [s].
             measured: joint positions as measured (nv,); NaN where they are missing.
             sent: commanded joint positions (nv,).
             step: the controller's last step.
+            clock: the controller's clock where all arms are sent to [s].
         """
         ...
 
@@ -237,6 +239,8 @@ class ControlLoop:
             raise RuntimeError("this loop runs")
         try:
             self._ending, self._failed = "", False
+            o = self.options
+            self._process = prepare_process(realtime=o.realtime, lock_memory=o.lock_memory, core=o.core)
             self._start()
             return self._run()
         except BaseException:
@@ -302,8 +306,8 @@ class ControlLoop:
             joints = watch.robot.joints
             velocity = (sent[joints] - before[joints]) / self.period
             watch.robot.driver.send(Command(sent[joints], velocity, deadline + self.lead - watch.offset))
-        if self._recorder is not None:
-            self._recorder.take(now, self._measured, sent, self._step)
+        if self._recorder is not None and self._step is not None:
+            self._recorder.take(now, self._measured, sent, self._step, motion.way.clock(motion.play_out.parameter))
         if motion.law.stopped and not braking and not self._standing:
             self._settled = self._settled + self.period if motion.rests() else 0.0
             if self._settled >= _SETTLED:
@@ -439,6 +443,7 @@ class ControlLoop:
             apart=self._apart(),
             largest_force=self._force,
             statuses=dict(self._statuses),
+            process=self._process,
         )
 
     def _apart(self) -> float:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Annotated
 
-from coopqp.checks import Doc, as_scalar, documented, keep_scalars
+from coopqp.checks import Doc, as_count, as_scalar, documented, keep_scalars
 from coopqp.errors import InvalidInputError
 
 #: Longest accepted period [s].
@@ -53,7 +53,15 @@ class LoopOptions:
         Doc("dead man's switch: the arms brake when nobody called beat() for this time [s], 0.2 at most; None without"),
     ] = None
 
+    realtime: Annotated[
+        int | None, Doc("priority of the FIFO scheduler that the loop's thread asks for, 1 to 99; None for none")
+    ] = None
+    lock_memory: Annotated[bool, Doc("ask that the process's memory is never swapped out")] = False
+    core: Annotated[int | None, Doc("the only core that the loop's thread asks for; None for any")] = None
+
     def __post_init__(self) -> None:
+        if self.realtime is not None and not 1 <= as_count(self.realtime, "LoopOptions: realtime") <= 99:
+            raise InvalidInputError(f"realtime is {self.realtime}", "LoopOptions", "Give a priority from 1 to 99.")
         if self.period is not None:
             keep_scalars(self, "period")
         if self.lead is not None:

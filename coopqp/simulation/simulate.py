@@ -97,7 +97,7 @@ def simulate(
     measure = getattr(plant, "measure", None)
     readings = [measured] if measure is None else [measured, *(measure() for _ in range(_REST_SAMPLES - 1))]
     controller.reset(cell.average(readings))  # noise averages out
-    recorder = _Recorder(controller, measured, plant if loads else None)
+    recorder = RunRecorder(controller, measured, plant if loads else None)
     nominal = max(1, round((longest if endless else controller.path.duration + after) / controller.dt))
     elapsed, rest, still = 0.0, 0.0, 0.0
     while elapsed < longest - 1e-9 * longest:
@@ -148,7 +148,7 @@ def _stands(step: ControlStep) -> bool:
 
 
 @final
-class _Recorder:
+class RunRecorder:
     """Gathers the steps of a run."""
 
     def __init__(self, controller: Controller, measured: Array, loaded: Any = None) -> None:

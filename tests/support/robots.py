@@ -56,7 +56,7 @@ def drive(
     began: list[float] = []
 
     class Recorder:
-        def take(self, moment, measured, sent, step):
+        def take(self, moment, measured, sent, step, clock):
             began.append(moment)
             now = moment - began[0]
             moments.append(now)
