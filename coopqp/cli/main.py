@@ -12,7 +12,7 @@ from importlib import metadata
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NoReturn
 
-from coopqp.cli import calibrate, check, sensors, studies
+from coopqp.cli import calibrate, check, drive, sensors, studies
 from coopqp.cli.commands import COMMANDS
 from coopqp.cli.terminal import add_command, print_hints, print_table, print_written, reporter, say
 from coopqp.errors import CoopqpError, MissingExtraError, UndecidedError, UnreachableError, cause_of
@@ -180,7 +180,9 @@ def _run_demo(arguments: argparse.Namespace) -> int:
     return OK
 
 
-_COMMANDS = (_add_demo, *COMMANDS, *check.COMMANDS, *calibrate.COMMANDS, *sensors.COMMANDS, *studies.COMMANDS)
+_COMMANDS = (
+    _add_demo, *COMMANDS, *check.COMMANDS, *calibrate.COMMANDS, *sensors.COMMANDS, *drive.COMMANDS, *studies.COMMANDS,
+)  # fmt: skip
 
 
 def _count(text: str) -> int:

@@ -1,12 +1,13 @@
-"""What a robot is to the loop: a driver reads its states and sends it commands."""
+"""What the loop works with: drivers that read robots and send to them, recorders, and bodies that move."""
 
 from __future__ import annotations
 
 import enum
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
-from typing import Literal, Protocol
+from typing import Any, Literal, Protocol
 
+from coopqp.control.interface import ControlStep
 from coopqp.errors import CoopqpError
 from coopqp.spatial import Array
 
@@ -22,6 +23,10 @@ class Condition(enum.Enum):
     STOPPED = "stopped"  #: it stands, and goes on by itself or by hand: paused, or its slider is at 0
     PROTECTIVE = "protective stop"  #: its safety controller stopped it; it has to be released by hand
     FAULT = "fault"  #: it will not move again in this run
+
+
+#: Conditions of a robot that does not follow its commands.
+STANDS = (Condition.STOPPED, Condition.PROTECTIVE, Condition.FAULT)
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -98,4 +103,31 @@ class RobotDriver(Protocol):
 
     def stop(self) -> None:
         """Bring the robot to rest and send nothing again; idempotent, also from a signal handler and after errors."""
+        ...
+
+
+class LoopRecorder(Protocol):
+    """Gets what each period did."""
+
+    def take(self, moment: float, measured: Array, sent: Array, step: ControlStep, clock: float) -> None:
+        """One period. Arrays change after it: copy what is kept.
+
+        Args:
+            moment: its beginning [s].
+            measured: joint positions as measured (nv,); NaN where they are missing.
+            sent: commanded joint positions (nv,).
+            step: the controller's last step.
+            clock: the controller's clock where all arms are sent to [s].
+        """
+        ...
+
+
+class Bodies(Protocol):
+    """Bodies that move by themselves, as cameras or another program see them."""
+
+    def read(self) -> Iterable[tuple[str, Any, Any, float]]:
+        """Name, placement in the world, twist in world axes (6,) [m/s, rad/s], and stamp on the loop's clock [s].
+
+        It never blocks and never raises.
+        """
         ...

@@ -10,47 +10,34 @@ import threading
 import warnings
 from collections import Counter, deque
 from collections.abc import Callable, Mapping
-from typing import Any, Protocol, final
+from typing import Any, final
 
 import numpy as np
+import pinocchio as pin
 
 from coopqp.checks import as_options, as_scalar
+from coopqp.collision.clearance import Clearance
 from coopqp.control.interface import ControlStep, Status
-from coopqp.drivers.driver import Command, Condition, DriverError, RobotDriver
+from coopqp.drivers.driver import STANDS, Bodies, Command, Condition, DriverError, LoopRecorder, RobotDriver
 from coopqp.drivers.motion import SharedMotion
 from coopqp.drivers.options import LoopOptions
 from coopqp.drivers.process import prepare_process
-from coopqp.drivers.report import LoopReport
+from coopqp.drivers.report import LoopReport, largest_apart
 from coopqp.drivers.robots import refusals, robots_of, turned
+from coopqp.drivers.start import begin, connect, stand, tell_targets, unready
 from coopqp.drivers.timing import LoopTime, MonotonicTime
 from coopqp.drivers.watch import RobotWatch
 from coopqp.errors import InvalidInputError
-from coopqp.spatial import Array
+from coopqp.spatial import Array, as_placement
 
-#: Conditions of a robot that will not follow its commands.
-_STANDS = (Condition.STOPPED, Condition.PROTECTIVE, Condition.FAULT)
 #: All arms rest this long before a stop counts [s].
 _SETTLED = 0.1
 #: The object has arrived where all joints are this near to the end [rad or m].
 _ARRIVED = 1e-4
+#: At the end of the path the arms are brought to rest from this speed [rad/s or m/s].
+_SLOW_END = 1e-3
 #: Every how many periods the distance of the arms is looked at.
 _LOOK = 10
-
-
-class LoopRecorder(Protocol):
-    """Gets what each period did."""
-
-    def take(self, moment: float, measured: Array, sent: Array, step: ControlStep, clock: float) -> None:
-        """One period. Arrays change after it: copy what is kept.
-
-        Args:
-            moment: its beginning [s].
-            measured: joint positions as measured (nv,); NaN where they are missing.
-            sent: commanded joint positions (nv,).
-            step: the controller's last step.
-            clock: the controller's clock where all arms are sent to [s].
-        """
-        ...
 
 
 @final
@@ -64,8 +51,15 @@ class ControlLoop:
         controller: a QPController or ForceController.
         drivers: a driver by the name of its arm, or of its robot where that has several arms.
         options: settings, or a dictionary of them.
+        bodies: told to the controller's :class:`coopqp.Clearance`, moved on by their twists to the present time; one
+            that is older than ``LoopOptions.gone_after`` is not told, and the controller holds by its own patience.
         recorder: gets every period.
         time: the clock; the machine's by default.
+
+    Attributes:
+        robots: the robots, with their joints.
+        watches: what is read of each.
+        period, lead: of the loop [s].
 
     Raises:
         InvalidInputError: drivers that do not fit the cell, or bad settings.
@@ -77,6 +71,7 @@ class ControlLoop:
         drivers: Mapping[str, RobotDriver],
         options: LoopOptions | Mapping[str, Any] | None = None,
         *,
+        bodies: Bodies | None = None,
         recorder: LoopRecorder | None = None,
         time: LoopTime | None = None,
     ) -> None:
@@ -92,10 +87,15 @@ class ControlLoop:
         self.robots = robots_of(self.cell, drivers)
         self.period = controller.dt if self.options.period is None else self.options.period
         self.lead = 2.0 * self.period if self.options.lead is None else self.options.lead
-        self._recorder = recorder
+        self._recorder, self._bodies = recorder, bodies
+        self._clearances = [c for c in getattr(controller, "constraints", ()) if isinstance(c, Clearance)]
+        if bodies is not None and not self._clearances:
+            raise InvalidInputError(
+                "bodies without a Clearance", "ControlLoop: bodies", "Give the controller one with moving bodies."
+            )
         self._time = MonotonicTime() if time is None else time
         self._calls: deque[Callable[[], None]] = deque()
-        self._watches = tuple(RobotWatch(robot, self.options.patience) for robot in self.robots)
+        self.watches = tuple(RobotWatch(robot, self.options.patience) for robot in self.robots)
         self._wrenches = bool(getattr(controller, "needs_wrenches", False))
         self._lock = threading.Lock()
         self._beaten = -math.inf
@@ -140,7 +140,7 @@ class ControlLoop:
                 warnings.warn(f"driver '{robot.name}' failed to stop: {error}", RuntimeWarning, stacklevel=2)
 
     def _go_on(self) -> None:
-        if any(watch.condition() in _STANDS for watch in self._watches):
+        if any(watch.condition() in STANDS for watch in self.watches):
             return
         self.controller.resume()
         self._ramp, self._ramp_time, self._standing = self._now, self.options.resume_time, False
@@ -159,70 +159,23 @@ class ControlLoop:
         Raises:
             DriverError: a robot cannot be reached, or tells no state.
         """
-        for robot in self.robots:
-            robot.driver.connect()
-        limit = self._time.now() + self.options.connect_time
-        while any(watch.state is None for watch in self._watches):
-            now = self._time.now()
-            for watch in self._watches:
-                watch.read(now)
-            silent = [watch.robot.name for watch in self._watches if watch.state is None]
-            if silent and now > limit:
-                raise DriverError(
-                    f"robot '{silent[0]}' tells no state within {self.options.connect_time:g} s. "
-                    "Look at its address, its network and whether its program runs."
-                )
-            self._time.sleep_until(now + self.period)
-        tells = all(watch.state is not None and watch.state.target is not None for watch in self._watches)
-        said = refusals(self.controller, self.robots, period=self.period, tells_target=tells)
-        for watch in self._watches:
-            if watch.condition() in _STANDS:
-                said.append(f"robot '{watch.robot.name}' says {watch.condition().value}. Release it first.")
-            if self._wrenches and watch.state is not None and watch.state.wrench is None:
-                said.append(
-                    f"robot '{watch.robot.name}' tells no wrench, and a ForceController needs one for each arm."
-                )
-        return said
+        connect(self.watches, self._time, longest=self.options.connect_time, period=self.period)
+        return [
+            *refusals(self.controller, self.robots, period=self.period, tells_target=tell_targets(self.watches)),
+            *unready(self.watches, wrenches=self._wrenches),
+        ]
 
     def _start(self) -> None:
         """Reset the controller where the robots stand."""
         said = self.refused()
         if said:
             raise DriverError("not driven: " + " ".join(said))
-        readings, targets = [], np.full(self.cell.nv, np.nan)
-        until = self._time.now() + self.options.rest_time
-        while True:
-            now = self._time.now()
-            x = np.full(self.cell.nv, np.nan)
-            for watch in self._watches:
-                watch.read(now)
-                assert watch.state is not None
-                joints = watch.robot.joints
-                x[joints] = watch.state.q
-                targets[joints] = watch.state.q if watch.state.target is None else watch.state.target
-            readings.append(self.cell.configuration_of(x))
-            if now >= until:
-                break
-            self._time.sleep_until(now + self.period)
-        q = self.cell.average(readings)
-        told = all(watch.state is not None and watch.state.target is not None for watch in self._watches)
-        if told:
-            self.controller.reset(q, commanded=self.cell.configuration_of(targets))
-        else:
-            self.controller.reset(q)
-        inner = getattr(self.controller, "controller", self.controller)
-        first = self.cell.positions(inner.commanded)
-        away = np.abs(turned(self.cell, first - targets))
-        if away.max() > self.options.start_tolerance:
-            j = int(np.argmax(away))
-            raise DriverError(
-                f"not driven: the first command of joint {self.cell.joint_names[j]} is {1e3 * away[j]:.1f} mrad from "
-                f"where its servo is, and may be {1e3 * self.options.start_tolerance:.1f}. Move the arms to the start."
-            )
-        self._last_q = first
+        o = self.options
+        readings, targets = stand(self.cell, self.watches, self._time, rest_time=o.rest_time, period=self.period)
+        first = self._last_q = begin(self.controller, self.watches, readings, targets, tolerance=o.start_tolerance)
         self._motion = SharedMotion(
             self.cell, self.robots, first, clock=0.0, command_period=self.controller.dt, period=self.period,
-            lead=self.lead, options=self.options,
+            lead=self.lead, options=o,
         )  # fmt: skip
 
     # -- the run ---------------------------------------------------------------------------------------------------
@@ -253,6 +206,7 @@ class ControlLoop:
         motion, time, h = self._motion, self._time, self.period
         assert motion is not None
         self._step: ControlStep | None = None
+        self._seen = np.zeros(self.cell.nv)
         self._off, self._measured = np.zeros(self.cell.nv), np.full(self.cell.nv, np.nan)
         self._statuses: Counter[str] = Counter()
         self._finish, self._still, self._settled, self._stops = math.inf, 0.0, 0.0, 0
@@ -295,6 +249,7 @@ class ControlLoop:
             self._end("the operator's heartbeat stopped", failed=True)
         said = self._look(now)
         braking = bool(self._ending)
+        self._move_bodies(now)
         while motion.needs_command():
             self._advance()
         ramp = 1.0 if self._ramp_time == 0.0 else (now - self._ramp) / self._ramp_time
@@ -302,7 +257,7 @@ class ControlLoop:
         sent = motion.step(deadline, most=ramp, said=np.zeros_like(said) if self._standing else said, stand=braking)
         self._slowest = min(self._slowest, motion.law.rate)
         before = motion.before
-        for watch in self._watches:
+        for watch in self.watches:
             joints = watch.robot.joints
             velocity = (sent[joints] - before[joints]) / self.period
             watch.robot.driver.send(Command(sent[joints], velocity, deadline + self.lead - watch.offset))
@@ -314,23 +269,27 @@ class ControlLoop:
                 self._seat()
         else:
             self._settled = 0.0
-        controller_holds = self._step is not None and self._step.status in (
-            Status.HOLDING, Status.FAULT, Status.BLOCKED,
-        )  # fmt: skip
-        self._still = self._still + self.period if controller_holds else 0.0
+        self._still = self._still + self.period if self._holds() else 0.0
         if self._still > self.options.give_up_after and self._step is not None:
             self._end(self._step.explain(), failed=True)
+
+    def _holds(self) -> bool:
+        """Whether the controller does not go on by itself; behind a robot that stopped it is not asked."""
+        motion, step = self._motion, self._step
+        assert motion is not None
+        waits = motion.law.stopped and not self._standing
+        return step is not None and not waits and step.status in (Status.HOLDING, Status.FAULT, Status.BLOCKED)
 
     def _look(self, now: float) -> Array:
         """Read all robots; say which of them have stopped (robots,)."""
         motion = self._motion
         assert motion is not None
         said = np.zeros(len(self.robots), dtype=bool)
-        for k, watch in enumerate(self._watches):
+        for k, watch in enumerate(self.watches):
             watch.read(now)
             joints = watch.robot.joints
             condition = watch.condition()
-            said[k] = condition in _STANDS
+            said[k] = condition in STANDS
             if condition is Condition.FAULT:
                 self._end(f"robot '{watch.robot.name}' says fault", failed=True)
             if watch.missing(now):
@@ -354,12 +313,29 @@ class ControlLoop:
             self._looks.append(self._measured.copy())
         return said
 
+    def _move_bodies(self, now: float) -> None:
+        if self._bodies is None:
+            return
+        for name, T_world_body, twist, stamp in self._bodies.read():
+            age = now - stamp
+            if not 0.0 <= age <= self.options.gone_after:
+                continue
+            T, v = as_placement(T_world_body, f"bodies: {name}"), np.asarray(twist, dtype=float)
+            moved = pin.SE3(pin.exp3(v[3:] * age) @ T.rotation, T.translation + v[:3] * age)
+            for clearance in self._clearances:
+                clearance.move(name, moved, v)
+
     def _advance(self) -> None:
         """The controller's next command becomes the next point of the way."""
         motion, cell = self._motion, self.cell
         assert motion is not None
         x = motion.way.last
-        measured = cell.configuration_of(x + self._off)
+        missing = np.isnan(self._off)
+        share = self.controller.dt / (self.options.deviation_time + self.controller.dt)
+        # Behind an arm that stands there is nothing to correct.
+        off = np.where(missing | self._standing, 0.0, self._off)
+        self._seen += (1.0 if self._standing else share) * (off - self._seen)
+        measured = cell.configuration_of(np.where(missing, np.nan, x + self._seen))
         if self._wrenches:
             step = self.controller.step(measured, wrenches=self._felt())
         else:
@@ -375,7 +351,7 @@ class ControlLoop:
     def _felt(self) -> Array:
         """The wrench of each arm on the object (N, 6); NaN where it is missing or old."""
         wrenches = np.full((len(self.cell), 6), np.nan)
-        for watch in self._watches:
+        for watch in self.watches:
             if watch.state is None or watch.missing(self._now) or watch.state.wrench is None:
                 continue
             wrench = watch.state.wrench
@@ -413,9 +389,8 @@ class ControlLoop:
             rest = motion.way.value(self._finish) - motion.way.value(motion.play_out.parameter)
             if np.abs(rest).max() < _ARRIVED:
                 self._arrived = self._now
-        if motion.play_out.parameter >= self._finish and motion.speed() < 1e-6:
+        if motion.play_out.parameter >= self._finish and motion.speed() < _SLOW_END:
             self._end("the object is at the end of its path", failed=False)
-            return True
         return False
 
     def _report(self, time: float, periods: int, missed: int, late: Array) -> LoopReport:
@@ -433,28 +408,15 @@ class ControlLoop:
             late=int((late > 0.5 * self.period).sum()),
             missed=missed,
             lateness=(float(np.median(late)), float(np.percentile(late, 99.0)), float(late.max())),
-            lost={watch.robot.name: watch.lost for watch in self._watches},
+            lost={watch.robot.name: watch.lost for watch in self.watches},
             missing={name: self._missing[name] for name in names},
             lags=dict(zip(names, motion.lag.tolist(), strict=True)),
             commands=periods,
             guarded=motion.play_out.guarded,
             velocity=motion.velocity_share,
             acceleration=motion.acceleration_share,
-            apart=self._apart(),
+            apart=largest_apart(self.cell, self.controller.grasp, self._looks),
             largest_force=self._force,
             statuses=dict(self._statuses),
             process=self._process,
         )
-
-    def _apart(self) -> float:
-        """Largest distance between the arms' views of the object, as measured [m]."""
-        from coopqp.model.state import CellState
-
-        found = math.nan
-        for x in self._looks:
-            if np.isfinite(x).all():
-                state = CellState(self.cell, self.cell.configuration_of(x))
-                errors = self.controller.grasp.relative_errors(state)
-                most = float(np.linalg.norm(errors[:, :3], axis=1).max(initial=0.0))
-                found = most if math.isnan(found) else max(found, most)
-        return found

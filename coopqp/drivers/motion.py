@@ -87,7 +87,7 @@ class SharedMotion:
         self._times = np.full(_HISTORY, -np.inf)
         self._past = np.zeros((_HISTORY, 2))
         #: What was sent, and where joints and targets should be with their lags behind it (…, 3, nv).
-        self._sent_past = np.zeros((_HISTORY, 3, cell.nv))
+        self._sent_past = np.tile(x, (_HISTORY, 3, 1))
         self._followed = np.tile(x, (3, 1))
         self._at = -1
         self.velocity_share = self.acceleration_share = 0.0

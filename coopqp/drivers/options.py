@@ -36,6 +36,13 @@ class LoopOptions:
     addition: Annotated[
         float, Doc("share of the joints' limits for the correction that puts the tools, not the joints, together")
     ] = 0.05
+    deviation_time: Annotated[
+        float,
+        Doc(
+            "time constant of the low pass on what the controller sees of how far arms are off their way [s]; a rigid "
+            "grip makes the others' deviation of a disturbance of one arm"
+        ),
+    ] = 0.4
     learning_time: Annotated[
         float, Doc("time of motion in which lags that no driver tells are learnt [s]; 0 for never")
     ] = 0.3
@@ -69,7 +76,7 @@ class LoopOptions:
         if self.patience is not None:
             keep_scalars(self, "patience")
         keep_scalars(self, "gone_after", "start_tolerance", "connect_time", "give_up_after")
-        keep_scalars(self, "ramp_time", "resume_time", "learning_time", "rest_time", open_low=False)
+        keep_scalars(self, "ramp_time", "resume_time", "learning_time", "rest_time", "deviation_time", open_low=False)
         keep_scalars(self, "addition", "learning_addition", high=0.5, open_low=False)
         if self.heartbeat is not None:
             keep_scalars(self, "heartbeat", high=LONGEST_HEARTBEAT)

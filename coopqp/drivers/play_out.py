@@ -15,7 +15,7 @@ from coopqp.drivers.command_spline import CommandSpline
 from coopqp.spatial import Array
 
 #: Smallest time constant of the low pass [s].
-LEAST_LAG = 0.005
+LEAST_LAG = 1e-4
 #: The addition closes a difference within this time where its limits allow it [s].
 _CLOSING_TIME = 0.01
 

@@ -2,10 +2,17 @@
 
 from __future__ import annotations
 
+import math
+from collections.abc import Iterable
 from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
+
+from coopqp.model.cell import RobotCell
+from coopqp.model.grasp import Grasp
+from coopqp.model.state import CellState
+from coopqp.spatial import Array
 
 
 @dataclass(frozen=True, eq=False)
@@ -21,7 +28,7 @@ class LoopReport:
         stops: how often all arms came to rest behind a robot that had stopped.
         periods, late, missed: periods of the loop; those that began half a period late; those left out after overruns.
         lateness: of the periods' beginnings, p50, p99 and the largest [s].
-        lost: states that never came, by robot.
+        lost: states that were never read, by robot: they did not come, or a newer one came before they were read.
         missing: periods in which a robot's state was too old, by robot.
         lags: first-order lag of each robot as told or learnt [s].
         commands: number of commands sent to each robot.
@@ -72,7 +79,7 @@ class LoopReport:
             f"{self.late} late by half a period, {self.missed} left out"
         )
         lost = sum(self.lost.values())
-        text.append(f"{self.commands} commands to each robot; {lost} states lost")
+        text.append(f"{self.commands} commands to each robot; {lost} states lost or overtaken")
         text.append("lags " + ", ".join(f"{name} {1e3 * lag:.0f} ms" for name, lag in self.lags.items()))
         text.append("statuses: " + ", ".join(f"{name} {count}" for name, count in self.statuses.items()))
         return text
@@ -80,3 +87,14 @@ class LoopReport:
     def record(self) -> dict[str, Any]:
         """The numbers by name, for JSON."""
         return {name: getattr(self, name) for name in self.__dataclass_fields__}
+
+
+def largest_apart(cell: RobotCell, grasp: Grasp, positions: Iterable[Array]) -> float:
+    """Largest distance between the arms' views of the object at joint positions (nv,) [m]; NaN without any."""
+    found = math.nan
+    for x in positions:
+        if np.isfinite(x).all():
+            errors = grasp.relative_errors(CellState(cell, cell.configuration_of(x)))
+            most = float(np.linalg.norm(errors[:, :3], axis=1).max(initial=0.0))
+            found = most if math.isnan(found) else max(found, most)
+    return found

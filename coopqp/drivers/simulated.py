@@ -30,6 +30,7 @@ class ServoModel:
         delay: time until a command has an effect [s].
 
     Attributes:
+        lag, delay: as given.
         q, velocity: real positions and velocities of the joints (n,).
         target: what they follow (n,).
         condition: what the robot says of itself.
@@ -39,7 +40,7 @@ class ServoModel:
         self.q, self.velocity, self.target = q.copy(), np.zeros(len(q)), q.copy()
         self.condition = Condition.RUNNING
         self.now = now
-        self._lag, self._delay = lag, delay
+        self.lag, self.delay = lag, delay
         self._commands: deque[tuple[float, Array]] = deque([(-np.inf, q.copy())])
         self._speed: float | None = None
         self._halted = False
@@ -79,7 +80,7 @@ class ServoModel:
             self._step(h)
 
     def _wanted(self, now: float) -> Array:
-        moment, commands = now - self._delay, self._commands
+        moment, commands = now - self.delay, self._commands
         while len(commands) > 2 and commands[1][0] <= moment:
             commands.popleft()
         if len(commands) < 2 or not np.isfinite(commands[0][0]):
@@ -99,7 +100,7 @@ class ServoModel:
                 way = way * (self._speed * h / length)
             self.target = self.target + way
         before = self.q
-        share = 1.0 if self._lag == 0.0 else -np.expm1(-h / self._lag)
+        share = 1.0 if self.lag == 0.0 else -np.expm1(-h / self.lag)
         self.q = before + share * (self.target - before)
         self.velocity = (self.q - before) / h
 

@@ -79,6 +79,10 @@ class RobotWatch:
         """What the robot says of itself."""
         return Condition.RUNNING if self.state is None else self.state.condition
 
+    def positions(self) -> Array:
+        """Positions (n,) of the newest state [rad or m]; NaN before the first."""
+        return np.full(len(self.robot.joints), np.nan) if self.state is None else np.asarray(self.state.q)
+
     def aligned(self, now: float) -> tuple[Array, float]:
         """Positions (n,) carried on by their velocity, for 3 ms at most, and the time that they hold for [s]."""
         state = self.state

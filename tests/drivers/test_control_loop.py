@@ -65,7 +65,7 @@ def test_the_fast_arms_wait_for_delays(cell, lift):
     time, delays = ManualTime(), (0.0, 0.010, 0.0043)
     robots = simulated_robots(cell, lift.q_start, time, (0.0,) * 3)
     for robot, delay in zip(robots.values(), delays, strict=True):
-        robot.delay = robot.servo._delay = delay
+        robot.delay = robot.servo.delay = delay
     controller = QPController(cell, lift.grasp, lift.path, dt=0.002)
     report = ControlLoop(controller, robots, time=time).run()
     assert report.finished
@@ -167,6 +167,13 @@ def test_without_a_heartbeat_the_arms_brake(cell, lift):
     assert run.time[-1] < 0.5
     with pytest.raises(InvalidInputError, match="heartbeat"):
         LoopOptions(heartbeat=0.5)
+
+
+def test_a_first_state_that_is_fresh_is_no_deviation(cell, lift):
+    """The robots' states come between the start and the first period."""
+    run = drive(cell, lift, (0.0,) * 3, period=0.0007)
+    assert run.report.finished
+    assert set(run.report.statuses) == {"tracking"}
 
 
 class _Stubborn:
@@ -291,7 +298,7 @@ def test_robots_that_say_nothing_or_stand_are_refused(cell, lift):
 
 
 def test_continuous_joints_go_round():
-    scenario = mixed_cell(duration=2.0)
+    scenario = mixed_cell(duration=1.5)
     turning = scenario.cell.with_limits(acceleration=20.0)
     assert turning.continuous.any()
     run = drive(turning, scenario, (0.01, 0.03, 0.02, 0.0))
@@ -326,7 +333,7 @@ def test_bad_states_are_no_states(cell, lift):
     loop, _ = _loop(cell, lift, spoil)
     report = loop.run()
     assert report.finished, report.reason
-    assert loop._watches[2].refused > 50
+    assert loop.watches[2].refused > 50
     assert report.acceleration <= _KEPT
 
 

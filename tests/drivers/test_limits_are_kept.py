@@ -61,7 +61,7 @@ def _drive(seed, share, number=500):
     return points, mixtures, sent, velocity, acceleration
 
 
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=10, deadline=None)
 @given(st.integers(0, 2**32 - 1))
 def test_the_clock_the_mixtures_and_what_is_sent_keep_the_limits_at_hostile_rates(seed):
     points, mixtures, sent, velocity, acceleration = _drive(seed, 0.05)
