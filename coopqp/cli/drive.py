@@ -199,9 +199,9 @@ def _drive(run: CellRun, drivers: dict[str, RobotDriver], speed: float, argument
         for line in refused:
             say("refused:", line)
         return _REFUSED
-    if not arguments.quiet:
-        print(slower)
     with _interrupts(loop) as interrupts:
+        if not arguments.quiet:
+            print(slower, flush=True)
         report = loop.run()
     if not arguments.quiet:
         print("\n".join(report.lines()))
