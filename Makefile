@@ -13,7 +13,7 @@ PYTEST = env -u PYTHONDONTWRITEBYTECODE OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1
 SANITIZED := build/sanitized
 
 .PHONY: demo check quick test test-nightly lint core sanitize mutation docs bench tables pictures browser clean \
-  environments lowest newest no-compiler wheel extras import
+  environments lowest newest no-compiler release wheel extras import
 
 # Without COOPQP_REQUIRE_KERNEL=1 a compiler that fails is no error: coopqp then warns when it runs.
 $(VENV)/.installed: pyproject.toml CMakeLists.txt $(wildcard coopqp/native/*.cpp coopqp/native/*.h coopqp/native/*.py)
@@ -84,7 +84,8 @@ mutation: $(VENV)/.installed
 	$(BIN)/python tests/mutation.py --number $(MUTANTS) --json benchmarks/data/mutation.json --resume
 
 # Fresh environments below build/environments: the lowest and the newest versions with all tests, no compiler and the
-# wheel from the source distribution with those of make check, core only and each extra alone with tests/installed.py.
+# wheel from the source distribution with those of make check, the wheels of a release and each extra alone with
+# tests/installed.py.
 # SOME=--some leaves slow tests out everywhere.
 environments: $(VENV)/.installed
 	$(BIN)/python .ci/environments.py $(SOME)
@@ -92,11 +93,15 @@ environments: $(VENV)/.installed
 lowest newest no-compiler: $(VENV)/.installed
 	$(BIN)/python .ci/environments.py $@ $(SOME)
 
+# Wheels for every Python at hand, by the steps of the release, each tested; nothing is published.
+release: $(VENV)/.installed
+	$(BIN)/python .ci/environments.py release
+
 wheel: $(VENV)/.installed
 	$(BIN)/python .ci/environments.py from-sdist
 
 extras: $(VENV)/.installed
-	$(BIN)/python .ci/environments.py core extras
+	$(BIN)/python .ci/environments.py extras
 
 docs: $(VENV)/.installed
 	$(BIN)/python -m sphinx -W --keep-going -q -b html docs out/docs

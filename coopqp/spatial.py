@@ -129,8 +129,7 @@ def rotations(w: Array) -> Array:
     K[:, 0, 1], K[:, 0, 2], K[:, 1, 2] = -z, y, -x
     K[:, 1, 0], K[:, 2, 0], K[:, 2, 1] = z, -y, x
     s, half = np.sin(angle)[:, None, None], np.sin(0.5 * angle)[:, None, None]
-    out: Array = np.eye(3) + s * K + 2.0 * half * half * (K @ K)
-    return out
+    return np.eye(3) + s * K + 2.0 * half * half * (K @ K)
 
 
 def twist_at(twists: Array, way: Array) -> Array:

@@ -33,6 +33,7 @@ ROOT = Path(__file__).parents[1]
 #: The pictures that a program writes into the folder {out}. It runs in the root of the repository.
 PROGRAMS: Mapping[str, tuple[str, ...]] = {
     "coopqp demo --quiet --out {out}": ("docs/images/paper_lift.png", "docs/images/figure5.png"),
+    "coopqp new new_cell --arm panda --arm xarm7 --quiet --out {out}": ("docs/howto/new_cell.png",),
     "python docs/movie.py --out {out}": ("docs/images/two_lifts.gif",),
     "python docs/screenshots.py viewer --out {out}": ("docs/images/viewer.png",),
     "python docs/examples/01_paper_lift.py --out {out}": ("docs/tutorials/paper_drift.png",),

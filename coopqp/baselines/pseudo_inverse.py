@@ -176,8 +176,7 @@ class PseudoInverseController:
     @property
     def commanded(self) -> Array:
         """Commanded configuration at the end of the last step (nq,)."""
-        q: Array = self._q
-        return q
+        return self._q
 
     def __repr__(self) -> str:
         return short_text(self)

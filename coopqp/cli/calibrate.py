@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 from coopqp.cli.terminal import add_command, print_written, reporter
 from coopqp.errors import UnreachableError, printable
+from coopqp.output import check_new, json_bytes, write_files
 
 if TYPE_CHECKING:
     from coopqp.forces import DeterminingMotion
@@ -45,7 +46,6 @@ def add_calibrate(commands: Any) -> None:
 def run_calibrate(arguments: argparse.Namespace) -> int:
     """Run ``coopqp calibrate``. Nothing is written unless there is a calibration."""
     from coopqp.files.cellfile import CellFileError, require_readers
-    from coopqp.output import check_new, json_bytes, write_files
     from coopqp.simulation.evaluation.calibration_runs import calibrate_runs
     from coopqp.simulation.recording.recording import Recording
     from coopqp.visualization.calibration import calibration_figure
@@ -57,7 +57,7 @@ def run_calibrate(arguments: argparse.Namespace) -> int:
     if arguments.picture is not None:
         require_matplotlib()
     check_new(arguments.out, arguments.picture, arguments.json, force=arguments.force)
-    from coopqp.files.cellfile.calibrated import calibrated_text, settings_of
+    from coopqp.files.cellfile.write import calibrated_text, settings_of
 
     options = {} if arguments.encoder_noise is None else {"encoder_noise": arguments.encoder_noise}
     with reporter(quiet=arguments.quiet) as report:

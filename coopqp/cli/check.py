@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 from coopqp.cli.terminal import Reporter, add_command, print_table, print_written, reporter, say
 from coopqp.errors import UnknownNameError, UnreachableError, printable
+from coopqp.output import check_new, json_bytes, write_files
 
 if TYPE_CHECKING:
     from coopqp.collision.scene import CollisionScene
@@ -19,8 +20,8 @@ if TYPE_CHECKING:
     from coopqp.spatial import Array
     from coopqp.visualization.cell_overview import Glance
 
-#: Exit statuses.
-_FOLLOWS, _CANNOT, _UNDECIDED = 0, 3, 4
+#: Exit status of each verdict.
+EXIT_STATUS = {"CERTIFIED": 0, "SAMPLED": 0, "UNDECIDED": 4, "INFEASIBLE": 3}
 #: File of the picture.
 _PICTURE = "check.png"
 
@@ -50,8 +51,6 @@ def _add_check(commands: Any) -> None:
 
 
 def _run_check(arguments: argparse.Namespace) -> int:
-    from coopqp.output import check_new
-    from coopqp.planning import PathVerdict
     from coopqp.planning.remedies import with_remedies
     from coopqp.visualization.style import require_matplotlib
 
@@ -70,11 +69,9 @@ def _run_check(arguments: argparse.Namespace) -> int:
     if not arguments.quiet:
         _print(check, overlap, branches=arguments.branches)
         print_written(files, apart=True)
-    if check.feasible:
-        return _FOLLOWS
-    if arguments.quiet:
+    if arguments.quiet and not check.feasible:
         say(check.explain().splitlines()[0])
-    return _CANNOT if check.verdict is PathVerdict.INFEASIBLE else _UNDECIDED
+    return EXIT_STATUS[check.verdict.value]
 
 
 def _unjudged(check: PathCheck, box: Body) -> str:
@@ -151,7 +148,6 @@ def glance_at(name: str, report: Reporter) -> tuple[Glance, str]:
 
 
 def _write(check: PathCheck, record: Path | None, picture: Path | None) -> list[Path]:
-    from coopqp.output import json_bytes, write_files
 
     contents: dict[Path, bytes] = {}
     if record is not None:

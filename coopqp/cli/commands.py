@@ -28,6 +28,7 @@ from coopqp.cli.terminal import (
     styled,
 )
 from coopqp.errors import CoopqpError, TooCloseError, UnreachableError, cause_of, printable
+from coopqp.output import check_new, numbered, write_files
 
 if TYPE_CHECKING:
     from coopqp.simulation.evaluation.assessment import Finding
@@ -135,7 +136,6 @@ def _draw_refused(arguments: argparse.Namespace) -> None:
     from coopqp.cli.check import glance_at
     from coopqp.cli.runs import free_folder
     from coopqp.files.cellfile.build import read
-    from coopqp.output import write_files
     from coopqp.visualization.cell_overview import glance_figure
     from coopqp.visualization.style import figure_bytes, require_matplotlib
 
@@ -200,7 +200,7 @@ def _add_schema(commands: Any) -> None:
         nargs="?",
         const="paper_lift",
         metavar="NAME",
-        help="print a cell file that comes with coopqp: paper_lift (default) or paper_baseline",
+        help="print a cell file that comes with coopqp (paper_lift): `coopqp examples` lists them",
     )
     parser.set_defaults(run=_run_schema)
 
@@ -245,7 +245,6 @@ def _add_view(commands: Any) -> None:
 
 
 def _run_view(arguments: argparse.Namespace) -> int:
-    from coopqp.output import check_new
     from coopqp.visualization.viewer import export_html, require_viser
 
     require_viser()
@@ -359,7 +358,6 @@ def _add_report(commands: Any) -> None:
 
 
 def _run_report(arguments: argparse.Namespace) -> int:
-    from coopqp.output import check_new, numbered
     from coopqp.simulation.evaluation.assessment import Tolerances
     from coopqp.visualization.report import write_report
     from coopqp.visualization.style import require_matplotlib
@@ -403,7 +401,6 @@ def _add_export(commands: Any) -> None:
 def _run_export(arguments: argparse.Namespace) -> int:
     from coopqp.cli.runs import save_recording
     from coopqp.files.export import csv_parts, require_rosbags, write_bag, write_csv
-    from coopqp.output import check_new
 
     if arguments.bag is not None:
         require_rosbags()

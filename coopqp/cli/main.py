@@ -12,10 +12,11 @@ from importlib import metadata
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NoReturn
 
-from coopqp.cli import calibrate, check, drive, sensors, studies
+from coopqp.cli import calibrate, check, drive, examples, new, sensors, studies
 from coopqp.cli.commands import COMMANDS
 from coopqp.cli.terminal import add_command, print_hints, print_table, print_written, reporter, say
 from coopqp.errors import CoopqpError, MissingExtraError, UndecidedError, UnreachableError, cause_of
+from coopqp.output import check_below, check_folder, check_new, check_unused, numbered
 
 if TYPE_CHECKING:
     from coopqp.cli.demo import DemoRun
@@ -142,7 +143,6 @@ def _add_demo(commands: Any) -> None:
 
 def _run_demo(arguments: argparse.Namespace) -> int:
     from coopqp.cli import demo
-    from coopqp.output import check_below, check_folder, check_new, check_unused, numbered
     from coopqp.scenarios import paper_lift
     from coopqp.visualization.style import require_matplotlib
 
@@ -181,8 +181,16 @@ def _run_demo(arguments: argparse.Namespace) -> int:
 
 
 _COMMANDS = (
-    _add_demo, *COMMANDS, *check.COMMANDS, *calibrate.COMMANDS, *sensors.COMMANDS, *drive.COMMANDS, *studies.COMMANDS,
-)  # fmt: skip
+    _add_demo,
+    *COMMANDS,
+    *examples.COMMANDS,
+    *new.COMMANDS,
+    *check.COMMANDS,
+    *calibrate.COMMANDS,
+    *sensors.COMMANDS,
+    *drive.COMMANDS,
+    *studies.COMMANDS,
+)
 
 
 def _count(text: str) -> int:

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 from coopqp.cli.terminal import add_command, print_table, print_written, reporter, say
 from coopqp.errors import CoopqpError, UndecidedError, UnreachableError, cause_of, printable
+from coopqp.output import check_folder, check_unused, write_files
 
 if TYPE_CHECKING:
     from coopqp.collision.scene import CollisionScene
@@ -70,7 +71,6 @@ def run_plan(arguments: argparse.Namespace) -> int:
 
 def _run(arguments: argparse.Namespace) -> int:
     from coopqp.files.cellfile import load_cell_file, require_readers
-    from coopqp.output import check_folder, check_unused, write_files
     from coopqp.planning.parametrise import require_toppra
     from coopqp.planning.timing import SHARE
     from coopqp.visualization.profile import profile_figure
@@ -79,7 +79,7 @@ def _run(arguments: argparse.Namespace) -> int:
     require_toppra()
     require_matplotlib()
     require_readers()
-    from coopqp.files.cellfile.planned import planned_text
+    from coopqp.files.cellfile.write import planned_text
 
     folder: Path = arguments.out
     check_unused((folder / name for name in _FILES), force=arguments.force)

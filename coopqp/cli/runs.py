@@ -12,7 +12,7 @@ from coopqp.collision.scene import CollisionScene
 from coopqp.control.qp import QPController
 from coopqp.errors import OutputError, UnknownNameError
 from coopqp.model.posture import PostureOptions
-from coopqp.output import check_below, check_folder, check_unused, folder_of, numbered
+from coopqp.output import check_below, check_folder, check_unused, folder_of, numbered, write_files
 from coopqp.planning.self_motion import led_path
 from coopqp.simulation.engine import run_in_engine
 from coopqp.simulation.evaluation.closeness import default_scene, with_clearance
@@ -202,7 +202,6 @@ def save_recording(recording: Recording, file: Path) -> Path:
 
 
 def _plots(recording: Recording, folder: Path, say: Callable[[str], None]) -> list[Path]:
-    from coopqp.output import write_files
     from coopqp.simulation.evaluation.readings import read_run
     from coopqp.simulation.evaluation.wrenches import read_loads
     from coopqp.visualization import plots

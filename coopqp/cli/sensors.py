@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 from coopqp.cli.terminal import add_command, print_table, print_written, reporter
 from coopqp.errors import printable
+from coopqp.output import check_new, json_bytes, write_files
 
 if TYPE_CHECKING:
     from coopqp.files.cellfile.schema import CellFile
@@ -39,7 +40,6 @@ def add_sensors(commands: Any) -> None:
 def run_sensors(arguments: argparse.Namespace) -> int:
     """Run ``coopqp sensors``."""
     from coopqp.files.cellfile import CellFileError, load_cell_file
-    from coopqp.output import check_new, json_bytes, write_files
     from coopqp.simulation.commissioning import commission_sensors
 
     if arguments.out is not None and arguments.out.suffix != ".toml":

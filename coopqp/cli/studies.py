@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 from coopqp.cli.terminal import add_command, print_table, print_written, reporter, say
 from coopqp.errors import printable
+from coopqp.output import check_folder, check_unused, json_bytes, write_files
 
 if TYPE_CHECKING:
     from coopqp.studies import CellPlaced, PlaceStudy, Sweep
@@ -43,7 +44,6 @@ def _run_sweep(arguments: argparse.Namespace) -> int:
     from coopqp.checks import as_count
     from coopqp.errors import MissingExtraError, OutputError
     from coopqp.files.cellfile import require_readers
-    from coopqp.output import write_files
     from coopqp.studies import Cluster, EngineError, Local, load_study, sweep
     from coopqp.visualization.style import figure_bytes, require_matplotlib
 
@@ -122,7 +122,6 @@ def _add_place(commands: Any) -> None:
 
 def _run_place(arguments: argparse.Namespace) -> int:
     from coopqp.files.cellfile import require_readers
-    from coopqp.output import check_folder, check_unused
     from coopqp.studies import load_place_study
 
     require_readers()
@@ -163,7 +162,6 @@ def _write_place(
     remedies: tuple[str, ...],
     folder: Path,
 ) -> list[Path]:
-    from coopqp.output import json_bytes, write_files
 
     record = {
         "name": study.name,

@@ -102,7 +102,7 @@ class _Bar(Reporter):
 
 @contextlib.contextmanager
 def reporter(total: int | None = None, *, quiet: bool = False, remaining: bool = False) -> Iterator[Reporter]:
-    """A progress bar on a terminal, plain lines elsewhere or without rich, nothing if quiet.
+    """A progress bar on a terminal, plain lines elsewhere, nothing if quiet.
 
     Args:
         total: total number of steps; by default ``planned`` of the first report.
@@ -112,12 +112,9 @@ def reporter(total: int | None = None, *, quiet: bool = False, remaining: bool =
     if quiet or not sys.stderr.isatty():
         yield Reporter() if quiet else _Lines()
         return
-    try:
-        from rich.console import Console
-        from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
-    except ImportError:
-        yield _Lines()
-        return
+    from rich.console import Console
+    from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+
     columns = (TextColumn("{task.description:<31}"), BarColumn(), TextColumn("{task.percentage:3.0f} %"))
     times = (TimeElapsedColumn(), TextColumn("left"), TimeRemainingColumn()) if remaining else (TimeElapsedColumn(),)
     with Progress(*columns, *times, console=Console(stderr=True), transient=True) as bar:

@@ -30,8 +30,7 @@ def certify(clearances: Array, reach: Array, spare: float, shares: Array, out: A
 
 def near(clearances: Array, watch: Array) -> list[int]:
     """Pairs whose clearance is below their watch (P,)."""
-    found: list[int] = np.flatnonzero(clearances < watch).tolist()
-    return found
+    return np.flatnonzero(clearances < watch).tolist()
 
 
 def soonest(clearances: Array, most: Array, least: float) -> int:
@@ -62,5 +61,4 @@ def rows(
 
 def binding(G: Array, lower: Array, fastest: Array) -> list[int]:
     """Rows that joints at speeds up to ``fastest`` (nv,) can break."""
-    found: list[int] = np.flatnonzero(np.abs(G) @ fastest > -lower).tolist()
-    return found
+    return np.flatnonzero(np.abs(G) @ fastest > -lower).tolist()

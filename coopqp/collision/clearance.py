@@ -30,7 +30,7 @@ from coopqp.model.state import CellState
 from coopqp.native.constants import BEND_SAMPLE, BENT_WAY, SMALL_CLEARANCE, STANDING, WATCHED, WATCHED_BLIND
 from coopqp.spatial import Array, Placement, as_placement
 
-#: Clearance that the bend between two knots may take, where they are certified together [m].
+#: Clearance that the bend between two grid points may take, where they are certified together [m].
 _BEND = 2e-3
 #: Rows of one step at most; the nearest pairs.
 _MOST_PAIRS = MOST_ROWS // 2
@@ -133,7 +133,7 @@ class Clearance:
 
     @property
     def quiet_ahead(self) -> Quiet:
-        """Where no knot is stopped, from the last :meth:`stopping_pair` on."""
+        """Where no grid point is stopped, from the last :meth:`stopping_pair` on."""
         return self._quiet(self._ahead, max(_BEND, self._evading.begins), np.inf)
 
     def _quiet(self, bounds: LowerBounds, spare: float, approach: float) -> Quiet:
@@ -317,7 +317,7 @@ class Clearance:
 
         Args:
             memory: see :meth:`coopqp.control.core.memory.Memory.of_rows`.
-            ahead: for knots ahead, not for rows.
+            ahead: for grid points ahead, not for rows.
         """
         if self._moving or not hasattr(KERNEL, "Nearby"):
             return None
@@ -344,7 +344,7 @@ class Clearance:
     # -- the path ahead --------------------------------------------------------------------------------------------
 
     def stopping_pair(self, knot: Knot, among: Sequence[int] | None = None) -> int:
-        """Label of a pair, of all or among some, that stops the object between the knot before and this one, or −1.
+        """Label of a pair, of all or among some, that stops the object from the grid point before to this one, or −1.
 
         It stops where the distance is below the margin while it falls.
         """
@@ -374,7 +374,7 @@ class Clearance:
         return self._evading.at(q, slope)
 
     def _crosses(self, k: int, knot: Knot, way: float) -> bool:
-        """Whether pair ``k`` comes inside its margin, or closer inside it, between the knot before and this one."""
+        """Whether pair ``k`` comes inside its margin, or closer inside it, from the grid point before to this one."""
         after, before = float(self._ahead.clearances[k]), self._clearance_at(k, knot, knot.span)
         if knot.span == 0.0:  # the first knot
             G = self._distances.gradient([k]).rows[0]
@@ -395,15 +395,14 @@ class Clearance:
         return False
 
     def _clearance_at(self, k: int, knot: Knot, back: float) -> float:
-        """How far pair ``k`` is from its margin at a clock before the knot [m]."""
+        """How far pair ``k`` is from its margin at a clock before the grid point [m]."""
         self._distances.place(self.scene.cell.moved(knot.state.q, self._back(knot, back)))
         return self._distances.one(k) - float(self._margins[k])
 
     @staticmethod
     def _back(knot: Knot, back: float) -> Array:
-        """The joints' way from the knot back to an earlier clock: q″ is constant between knots (nv,)."""
-        way: Array = (0.5 * back * knot.curvature - knot.slope) * back
-        return way
+        """The joints' way from the grid point back to an earlier clock: q″ is constant between grid points (nv,)."""
+        return (0.5 * back * knot.curvature - knot.slope) * back
 
     # -- bodies that move --------------------------------------------------------------------------------------------
 

@@ -79,8 +79,7 @@ class Evasion:
         z, _, flag, _ = self._solve(np.eye(n), np.zeros(n), rows, free, b, inequality, primal_tol=_TOLERANCE)
         if flag != 1:
             return slope
-        out: Array = slope + N @ z[: A.shape[1]]
-        return out
+        return slope + N @ z[: A.shape[1]]
 
 
 @final

@@ -128,13 +128,11 @@ class MovingBodies:
         velocity = place.twist[:3] + np.cross(place.twist[3:], gradient.points - place.T_world_body.translation)
         closing, T = -np.einsum("ij,ij->i", gradient.normals, velocity), self._stopping
         if self._give_way:
-            retreat: Array = np.minimum(closing - self._approach * clearance, _FASTEST_RETREAT)
-            return retreat
+            return np.minimum(closing - self._approach * clearance, _FASTEST_RETREAT)
         u, (s, a) = np.maximum(closing, 0.0), self._braking(gradient.rows)
         in_time, b = (clearance - u * (dt + T)) / (dt + 0.5 * T), u + a * dt
         in_reach = np.sqrt(np.maximum(b**2 + 2.0 * a * (clearance - u * dt), 0.0)) - b
-        lower: Array = -np.maximum(np.maximum(in_time, np.minimum(s - a * dt, in_reach)), 0.0)
-        return lower
+        return -np.maximum(np.maximum(in_time, np.minimum(s - a * dt, in_reach)), 0.0)
 
     def _braking(self, G: Array) -> tuple[Array, Array]:
         """Approaches s = −G v (m,) [m/s], and how hard joints that brake together slow them down [m/s²].

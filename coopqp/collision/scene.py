@@ -13,13 +13,12 @@ import pinocchio as pin
 
 from coopqp.checks import as_scalar, require
 from coopqp.collision.branch_choice import clear_choice
-from coopqp.collision.built_scene import BuiltScene
+from coopqp.collision.built_scene import BuiltScene, Levers, Part, joints_to
 from coopqp.collision.coal_geometry import reach_of
 from coopqp.collision.convex_shapes import ConvexShapes
 from coopqp.collision.distances import Distances
 from coopqp.collision.evasion import evading_trajectory
 from coopqp.collision.pairs import Names, PairRules, as_pair, srdf_pairs
-from coopqp.collision.parts import Levers, Part, joints_to
 from coopqp.collision.path_check import check_clearance
 from coopqp.errors import InvalidInputError, UnknownNameError, shown
 from coopqp.model.cell import RobotCell

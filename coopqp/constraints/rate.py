@@ -1,4 +1,4 @@
-"""Bounds of the object's rate at the knots ahead of it, as lines: for the look-ahead and the fastest timing."""
+"""Bounds of the object's rate at the grid points ahead of it, as lines: for the look-ahead and the fastest timing."""
 
 from __future__ import annotations
 
@@ -23,8 +23,8 @@ class Knot:
         clock: the object's clock [s].
         state: kinematics there.
         slope: q′ (nv,) [rad or m per clock second].
-        curvature: q″ (nv,), its mean since the knot before.
-        span: since the knot before [s]; 0 at the first one.
+        curvature: q″ (nv,), its mean since the grid point before.
+        span: since the grid point before [s]; 0 at the first one.
     """
 
     clock: float
@@ -36,7 +36,7 @@ class Knot:
 
 @runtime_checkable
 class RateBound(Protocol):
-    """Lines that the object's rate σ, and its change σ̇, have to keep at every knot of the look-ahead.
+    """Lines that the object's rate σ, and its change σ̇, have to keep at every grid point of the look-ahead.
 
     They hold on paths that are looked ahead on, and while the object follows its path: a hold brakes as hard as the
     joints' own limits allow.
@@ -57,7 +57,7 @@ class BoundTrouble(Exception):  # noqa: N818
 
 
 def lines_of(bound: RateBound, knot: Knot) -> tuple[Array, Array, Array]:
-    """a, b and c (m,) of a rate bound at a knot.
+    """a, b and c (m,) of a rate bound at a grid point.
 
     Raises:
         BoundTrouble: it raised, or returned something else than finite vectors of one length.

@@ -32,8 +32,7 @@ class PathSamples:
 
     def tool_poses(self, T_object_tool: pin.SE3) -> Array:
         """T_world_tool of one arm at each clock (K, 4, 4)."""
-        tools: Array = np.array([T.homogeneous for T in self.poses]) @ T_object_tool.homogeneous
-        return tools
+        return np.array([T.homogeneous for T in self.poses]) @ T_object_tool.homogeneous
 
 
 def sample_path(path: ObjectPath, grasp: Grasp) -> PathSamples:

@@ -1,7 +1,7 @@
 """Further constraints on a step and on the path ahead: the user's own, collisions, torques. All are rows or lines.
 
 A row ``lower ≤ G v ≤ upper`` on the joint velocities enters every answer of a step: the nominal test, the fastest rate
-on the path, the QP. A line ``a z + b σ̇ ≤ c`` with z = σ² bounds the rate of the object at a knot of the look-ahead.
+on the path, the QP. A line ``a z + b σ̇ ≤ c`` with z = σ² bounds the path speed at a grid point of the look-ahead.
 """
 
 from __future__ import annotations
@@ -50,10 +50,10 @@ class VelocityConstraint(Protocol):
     def rows(self, state: CellState, dt: float) -> tuple[Array, Array, Array]:
         """G (m, nv), lower (m,) and upper (m,) with ``lower ≤ G v ≤ upper`` for joint velocities v [rad/s or m/s].
 
-        Asked at every step, and at every knot of the look-ahead: keep it free of side effects.
+        Asked at every step, and at every grid point of the look-ahead: keep it free of side effects.
 
         Args:
-            state: kinematics at the commanded configuration, or at the knot's.
+            state: kinematics at the commanded configuration, or at the grid point's.
             dt: length of the step [s].
         """
         ...
@@ -102,7 +102,7 @@ class RowsInMemory(Protocol):
         ...
 
     def doubtful(self, place: int, /) -> list[int] | None:
-        """Labels that may stop the object between the knot before and the one at a place; None if nothing is known."""
+        """Labels that may stop the object from the grid point before a place on; None if nothing is known."""
         ...
 
     def prepare(self) -> None:
@@ -124,10 +124,9 @@ class CertifiedConstraint(VelocityConstraint, Protocol):
 
     Attributes:
         labels: name of the limit that each row stands for, one for each row that there may ever be.
-        quiet: joint positions at whose neighbours no row binds: with the certificate of the last ``rows_by_label`` a
-            step of velocities v and length dt is admissible where ``Σ reach |v| dt`` is at most a share of
-            ``slack − Σ reach |x − centre|``: min(approach dt, 1).
-        quiet_ahead: the same for knots and the way between them.
+        quiet: the inactive region of the last ``rows_by_label``. A step of velocities v and length dt from joint
+            positions x breaks no row if ``Σ reach |v| dt ≤ min(approach dt, 1) (slack − Σ reach |x − centre|)``.
+        quiet_ahead: the same for grid points and the way between them.
     """
 
     labels: tuple[BindingLimit, ...]
@@ -155,11 +154,11 @@ class CertifiedConstraint(VelocityConstraint, Protocol):
         ...
 
     def in_memory(self, memory: Mapping[str, Array], *, ahead: bool = False) -> RowsInMemory | None:
-        """The same rows, or those of knots ahead, over the memory of a compiled step; None without a native form."""
+        """The same rows, or those of the look-ahead, in the memory of a compiled step; None without a native form."""
         ...
 
     def stopping_pair(self, knot: Knot, among: Sequence[int] | None = None) -> int:
-        """Number of the label, of all or among some, that stops the object before a knot; −1 if none does."""
+        """Number of the label, of all or among some, that stops the object before a grid point; −1 if none does."""
         ...
 
     def evaded(self, q: Array, slope: Array) -> Array:
@@ -214,7 +213,7 @@ class Rows:
 
 
 class Bound(NamedTuple):
-    """The rate that constraints allow at a knot.
+    """The rate that constraints allow at a grid point.
 
     Attributes:
         cap: largest z = σ²; negative where not even rest is admissible.

@@ -34,10 +34,9 @@ from coopqp.control.monitoring.stress import servo_wrenches
 from coopqp.errors import InvalidInputError
 from coopqp.forces.force_options import ForceOptions
 from coopqp.forces.frictional_contacts import palm_rows, pressing
-from coopqp.forces.internal import load_shares
+from coopqp.forces.internal import load_shares, per_joint
 from coopqp.forces.presses import of_grip
 from coopqp.forces.sensor_check import SensorCheck
-from coopqp.forces.stress import per_joint
 from coopqp.model.cell import RobotCell
 from coopqp.model.chain import Chain
 from coopqp.model.grasp import Grasp
@@ -212,14 +211,12 @@ class Relaxation:
     @property
     def size(self) -> float:
         """Size of the largest internal wrench [N]; a torque of 0.3 N·m counts as 1 N."""
-        size: float = self.scalars.size
-        return size
+        return self.scalars.size
 
     @property
     def stiffer(self) -> float:
         """ρ."""
-        stiffer: float = self.scalars.stiffer
-        return stiffer
+        return self.scalars.stiffer
 
     # -- a step --------------------------------------------------------------------------------------------------
 
@@ -257,8 +254,7 @@ class Relaxation:
     def allow(self, dt: float) -> float:
         """The largest rate of the object in this step: ``allow.cpp``, which ``allow_plain.py`` says in NumPy."""
         self._allow(self.memory, len(self._cell), dt)
-        allowed: float = self.scalars.allowed
-        return allowed
+        return self.scalars.allowed
 
     @property
     def gives(self) -> bool:
@@ -282,8 +278,7 @@ class Relaxation:
         off = self._to_object @ self.seen.ravel() - servo_wrenches(self._compliances, turned).ravel()
         carried = self._carried(R) if self.options.palms is None else None  # palms do not carry it yet
         load = off.reshape(-1, 6).sum(axis=0) if carried is None else carried
-        out: Array = (off - self._load_shares @ load).reshape(-1, 6)
-        return out
+        return (off - self._load_shares @ load).reshape(-1, 6)
 
     def _carried(self, R: Array) -> Array | None:
         """The load that the drives carry by feed-forward, in the object frame (6,) [N, N·m]; None if it is not told."""
@@ -418,8 +413,7 @@ class Relaxation:
 def yields_in_part(compliances: Array, felt: Array) -> Array:
     """Fᵀ (F G Fᵀ)⁺ F (6 N, 6 N), of the compliances C_k (N, 6, 6) and F (6 N, 6 N); see the module."""
     G = of_grip(compliances)
-    out: Array = felt.T @ np.linalg.pinv(felt @ G @ felt.T, rcond=_LEAST_PART, hermitian=True) @ felt
-    return out
+    return felt.T @ np.linalg.pinv(felt @ G @ felt.T, rcond=_LEAST_PART, hermitian=True) @ felt
 
 
 def _size(wrenches: Array) -> float:

@@ -121,7 +121,7 @@ class Calibration:
     slip: tuple[int, float] | None
 
     def explain(self) -> str:
-        """Lines of text: closure before and after, corrections with deviations, undetermined parameters."""
+        """Lines of text: loop residual before and after, corrections with deviations, undetermined parameters."""
         lines = [
             f"closure: {_mm(self.before[:, 0].max())} mm, {_deg(self.before[:, 1].max())}° before; "
             f"{_mm(self.after[:, 0].max())} mm, {_deg(self.after[:, 1].max())}° after ({len(self.samples)} samples)"

@@ -242,8 +242,7 @@ class ForceController:
             if step is None:
                 return self._finish()
             if step is not False:
-                made: ControlStep = step
-                return made
+                return step
         return self._slow(q_measured, wrenches, dt)
 
     @alone

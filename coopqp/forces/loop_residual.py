@@ -63,8 +63,7 @@ class Closure:
     def residuals(self, x: Array) -> Array:
         """Weighed closure errors (T (6N − 6),): of unit variance if only the joints' noise breaks the closure."""
         r = self.errors(x).reshape(len(self._ways), -1)
-        weighed: Array = np.einsum("tij,tj->ti", self._whiteners, r).ravel()
-        return weighed
+        return np.einsum("tij,tj->ti", self._whiteners, r).ravel()
 
     def jacobian(self, x: Array) -> Array:
         """Derivative of :meth:`residuals` (T (6N − 6), 12 N)."""
@@ -81,8 +80,7 @@ class Closure:
                 J, own = pin.Jlog6(M), slice(6 * k - 6, 6 * k)
                 rows[own, 12 * k : 12 * k + 12] = J @ twists[k]
                 rows[own, :12] = -J @ M.actionInverse @ twists[0]
-        weighed: Array = np.einsum("tij,tjk->tik", self._whiteners, out).reshape(-1, 12 * n)
-        return weighed
+        return np.einsum("tij,tjk->tik", self._whiteners, out).reshape(-1, 12 * n)
 
     def distances(self, x: Array) -> Array:
         """Largest distance [m] and angle [rad] between the object poses of any two arms, (T, 2)."""

@@ -73,16 +73,14 @@ class PressPlan:
         )
         sizes = 1.0 / np.max([forces / PRESS_FORCE, torques / MOST_TORQUE, far / MOST_MOTION], axis=0)
         best = int(sizes.min(axis=1).argmax())
-        out: Array = sizes[best][:, None, None] * ways[best]
-        return out
+        return sizes[best][:, None, None] * ways[best]
 
     def shift(self, time: float, scale: float) -> Array:
         """Motion of each grasp (N, 6) [m, rad] at a time; ``scale`` is the size of all presses but the first."""
         i, within = divmod(time - REST_TIME, PRESS_TIME)
         if not 0 <= i < len(self.ways):
             return np.zeros_like(self.ways[0])
-        out: Array = (scale if i else 1.0) * _side(within) * self.ways[int(i)]
-        return out
+        return (scale if i else 1.0) * _side(within) * self.ways[int(i)]
 
 
 def balancing(grasp: Grasp, arm: int) -> Array:

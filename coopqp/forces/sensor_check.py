@@ -129,8 +129,7 @@ class SensorCheck:
         O = chain.carried(q)[0]
         chain.evaluate(q, about=O.translation)
         R = self._R = for_twists(O.rotation)
-        out: Array = R.T @ chain.compliances(self._softness) @ R
-        return out
+        return R.T @ chain.compliances(self._softness) @ R
 
     def _hear(self, wrenches: Array | None, commanded: Array, measured: Array) -> None:
         n, chain = len(self._cell), self._chain

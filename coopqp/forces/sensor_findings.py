@@ -148,6 +148,8 @@ def judge(
         servos_doubt += abs(float(middle[0] / middle[1]) - 1.0)
         load_doubt = np.abs(gains[:, 0] / middle[0] - 1.0)
         gains = gains / gains[:, :1] * float(middle[0])
+    alive = np.abs(gains) > _DEAD
+    gains = np.where(alive, gains, 0.0)  # what noise leaves of a dead gain tells nothing of the wrench
     turned = np.array([np.linalg.norm(pin.log3(R)) for R in fit.rotations])
     unsure = np.minimum(_SURE * fit.doubts, _UNSURE)
     as_meant = turned < np.maximum(_AS_MEANT[0], unsure)
@@ -158,7 +160,6 @@ def judge(
             maps[k, at : at + 3, at : at + 3] = (1.0 if abs(g - 1.0) < max(_AS_MEANT[1], unsure[k]) else g) * rotations[
                 k
             ]
-    alive = np.abs(gains) > _DEAD
     at_rest = (stiffer * fit.stiffer[:, None] * servos)[fit.arms]
     felt = np.array([np.linalg.pinv(M) @ b for M, b in zip(maps, fit.offsets, strict=True)]) - at_rest
     in_order = np.zeros_like(felt)

@@ -97,8 +97,7 @@ class SensorFit:
     def _wrenches(self, s: Array) -> Array:
         """Maps from e to the wrenches at the tools (N, 6, 6 N), with stiffness exp(s)."""
         n = self._count
-        out: Array = self._to_tools @ of_grip(self._compliances * np.exp(-s)[:, None, None]).reshape(n, 6, 6 * n)
-        return out
+        return self._to_tools @ of_grip(self._compliances * np.exp(-s)[:, None, None]).reshape(n, 6, 6 * n)
 
     def _noise(self) -> Array:
         """Noise of forces and torques (N, 2), from second differences of samples in a row."""
@@ -163,8 +162,7 @@ class SensorFit:
         """One over the variance of a sample, for forces and torques (2,)."""
         samples = max(int(self._heard[:, k].sum()), 1)
         sizes = np.array([np.trace(yy[_FORCE, _FORCE]), np.trace(yy[_TORQUE, _TORQUE])]) / samples
-        out: Array = 1.0 / (np.maximum(self.noise[k], _LEAST_NOISE) ** 2 + _MODEL**2 * sizes)
-        return out
+        return 1.0 / (np.maximum(self.noise[k], _LEAST_NOISE) ** 2 + _MODEL**2 * sizes)
 
     def _time(self, k: int, arm: int) -> None:
         """What free matrices leave of sensor k at an arm, for all τ and delays."""
@@ -298,8 +296,7 @@ class SensorFit:
 def proper(M: Array) -> Array:
     """The proper rotation R (3, 3) of the largest trace(Rᵀ M)."""
     U, _, Vt = np.linalg.svd(M)
-    out: Array = U @ np.diag([1.0, 1.0, np.sign(np.linalg.det(U @ Vt))]) @ Vt
-    return out
+    return U @ np.diag([1.0, 1.0, np.sign(np.linalg.det(U @ Vt))]) @ Vt
 
 
 def turn(way: Array) -> Array:

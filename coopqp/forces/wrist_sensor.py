@@ -88,8 +88,7 @@ class SensorMaps:
 
     def readings(self, wrenches: Array) -> Array:
         """What the sensors read of wrenches at the tools (N, 6) [N, N·m]."""
-        out: Array = (self._maps @ wrenches[self._reads][:, :, None])[:, :, 0] + self._bias
-        return out
+        return (self._maps @ wrenches[self._reads][:, :, None])[:, :, 0] + self._bias
 
     def check(self) -> None:
         """Refuse dead sensors, whose readings cannot be corrected.

@@ -18,6 +18,7 @@ from coopqp.checks import ArrayLike, as_vector, require
 from coopqp.errors import InvalidInputError, ModelError, UnknownNameError, has_controls, shown
 from coopqp.model.description import check_nesting, check_urdf, description_file, mesh_folders
 from coopqp.model.joint_limits import JointLimits, model_limits
+from coopqp.model.links import joint_axes
 from coopqp.spatial import Placement, as_placement
 
 
@@ -88,7 +89,7 @@ class Arm:
         source = description_file(path, name)
         text = check_urdf(source, name)
         try:
-            mimics = _mimic_joints(pin.buildModelFromUrdf(str(source), True))  # True: keep mimic joints
+            mimics = mimic_joints(pin.buildModelFromUrdf(str(source), True))  # True: keep mimic joints
             model = pin.buildModelFromUrdf(str(source))
         except (ValueError, RuntimeError) as error:
             raise ModelError(f"arm '{name}': {source} is not a readable URDF ({_cause(error)})") from error
@@ -190,7 +191,7 @@ class Arm:
         _check_name(name)
         _check_locked(name, locked_joints)
         base = pin.SE3.Identity() if T_world_base is None else as_placement(T_world_base, f"arm '{name}': T_world_base")
-        mimics = _mimic_joints(model)
+        mimics = mimic_joints(model)
         if mimics:
             raise ModelError(
                 f"arm '{name}': joint '{mimics[0]}' mimics another. Replace it in the model, or read its URDF with "
@@ -281,10 +282,7 @@ def _check_joints(name: str, model: pin.Model) -> None:
                 f"arm '{name}': joint '{joint_name}' ({joint.shortname()}) has {joint.nv} degrees of freedom; an arm "
                 "has a fixed base and one degree of freedom per joint. Remove the floating base, set T_world_base."
             )
-    data = model.createData()
-    pin.computeJointJacobians(model, data, pin.neutral(model))
-    for i in range(1, model.njoints):
-        axis = np.asarray(pin.getJointJacobian(model, data, i, pin.LOCAL)).reshape(6, -1)[:, model.joints[i].idx_v]
+    for i, axis in enumerate(joint_axes(model), start=1):
         if not abs(max(np.linalg.norm(axis[:3]), np.linalg.norm(axis[3:])) - 1.0) < 1e-6:
             raise ModelError(
                 f"arm '{name}': joint '{names[i]}' has no valid axis or origin ({axis.tolist()}). Give both as "
@@ -297,7 +295,8 @@ def _cause(error: Exception) -> str:
     return " ".join(str(error).rpartition("message:")[2].split()).rstrip(".")
 
 
-def _mimic_joints(model: pin.Model) -> list[str]:
+def mimic_joints(model: pin.Model) -> list[str]:
+    """Joints of a model, read with them, that mimic others."""
     return [n for n, joint in zip(model.names, model.joints, strict=True) if "Mimic" in joint.shortname()]
 
 

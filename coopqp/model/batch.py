@@ -70,8 +70,7 @@ class BatchSolutions:
     @property
     def reached(self) -> npt.NDArray[np.bool_]:
         """True where the pose is reached within 1e-9 m and rad (M,)."""
-        out: npt.NDArray[np.bool_] = self.residual <= REACHED
-        return out
+        return self.residual <= REACHED
 
 
 @dataclass(frozen=True, eq=False)
@@ -91,8 +90,7 @@ class Walks:
     @property
     def complete(self) -> npt.NDArray[np.bool_]:
         """True where the last pose was reached (M,)."""
-        out: npt.NDArray[np.bool_] = self.reached == self.q.shape[1] - 1
-        return out
+        return self.reached == self.q.shape[1] - 1
 
 
 @final
@@ -196,8 +194,7 @@ class ArmKinematics:
 
     def margins(self, q: Array) -> Array:
         """Distance of positions (…, n) to the nearer limit [rad or m]: negative outside, inf without limits."""
-        out: Array = np.minimum(q - self.lower, self.upper - q)
-        return out
+        return np.minimum(q - self.lower, self.upper - q)
 
     # -- inverse -------------------------------------------------------------------------------------------------
 
@@ -268,8 +265,7 @@ class ArmKinematics:
         """Whether positions (…, n) differ by less than ``within`` in every joint, whole turns aside."""
         away = q - other
         away = np.where(self.slides, away, away - 2.0 * np.pi * np.round(away / (2.0 * np.pi)))
-        out: npt.NDArray[np.bool_] = np.abs(away).max(axis=-1) < within
-        return out
+        return np.abs(away).max(axis=-1) < within
 
     def seeds(self, count: int, rng: np.random.Generator) -> Array:
         """Random positions (count, n): half inside the limits, half at any angle."""

@@ -141,8 +141,7 @@ def _step_to(
 
 def _negative(arm: Array, q: Array) -> npt.NDArray[np.bool_]:
     J = _place(arm, q)[1]
-    out: npt.NDArray[np.bool_] = np.linalg.det(J) < 0.0 if J.shape[1] == 6 else np.zeros(len(q), dtype=bool)
-    return out
+    return np.linalg.det(J) < 0.0 if J.shape[1] == 6 else np.zeros(len(q), dtype=bool)
 
 
 def _halfway(start: Array, goal: Array) -> Array:
@@ -186,8 +185,7 @@ def _place(arm: Array, q: Array) -> tuple[Array, Array]:
 
 def _times(R: Array, M: Array) -> Array:
     """R @ M as one product of matrices."""
-    out: Array = (R.reshape(-1, 3) @ M).reshape(len(R), 3, *M.shape[1:])
-    return out
+    return (R.reshape(-1, 3) @ M).reshape(len(R), 3, *M.shape[1:])
 
 
 def _inverse(A: Array) -> Array:
@@ -199,14 +197,12 @@ def _inverse(A: Array) -> Array:
 
 def _by_columns(A: Array, b: Array) -> Array:
     """``A b`` for matrices (m, k, l) and columns b (m, l)."""
-    out: Array = (A @ b[:, :, None])[:, :, 0]
-    return out
+    return (A @ b[:, :, None])[:, :, 0]
 
 
 def _by_rows(b: Array, A: Array) -> Array:
     """``bᵀ A`` for rows b (m, k) and matrices (m, k, l)."""
-    out: Array = (b[:, None, :] @ A)[:, 0, :]
-    return out
+    return (b[:, None, :] @ A)[:, 0, :]
 
 
 def _errors(T: Array, target: Array) -> Array:
@@ -227,8 +223,7 @@ def _rotation_vectors(R: Array) -> Array:
     v = np.where(v[:, :1] < 0.0, -v, v)
     norm = np.linalg.norm(v[:, 1:], axis=1)
     ratio = 2.0 * np.arctan2(norm, v[:, 0]) / np.where(norm > 0.0, norm, 1.0)
-    out: Array = ratio[:, None] * v[:, 1:]
-    return out
+    return ratio[:, None] * v[:, 1:]
 
 
 def _newton_step(arm: Array, J: Array, e: Array, damping: Array) -> tuple[Array, Array]:

@@ -50,8 +50,7 @@ class Branches:
     @property
     def inside(self) -> npt.NDArray[np.bool_]:
         """True for branches inside all limits (B,)."""
-        out: npt.NDArray[np.bool_] = self.margins.min(axis=1, initial=np.inf) >= -AT_LIMIT
-        return out
+        return self.margins.min(axis=1, initial=np.inf) >= -AT_LIMIT
 
 
 def find_branches(

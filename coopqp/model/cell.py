@@ -30,6 +30,8 @@ __all__ = ["Arm", "JointLimits", "RobotCell"]
 
 #: Most joints that a sentence names.
 _NAMED = 3
+#: Norms of (cos, sin) this close to 1 are 1 but for rounding.
+_UNIT = 4.0 * np.finfo(float).eps
 
 
 class RobotCell(Shown):
@@ -133,12 +135,13 @@ class RobotCell(Shown):
     def moved(self, q: Array, displacement: Array) -> Array:
         """Configuration (nq,) after a joint displacement (nv,) [rad or m]."""
         if self.euclidean:
-            result: Array = q + displacement
-            return result
+            return q + displacement
         return np.asarray(pin.integrate(self.model, q, displacement))
 
     def check_configuration(self, q: ArrayLike, where: str) -> Array:
         """Return ``q`` as a new finite array (nq,), with the (cos, sin) of continuous joints normalised.
+
+        What is normalised comes back with the same bits.
 
         Raises:
             InvalidInputError: wrong shape, NaN or infinite entries, or the norm of a (cos, sin) is off 1 by more
@@ -154,7 +157,8 @@ class RobotCell(Shown):
                     where,
                     "Use coopqp.RobotCell.configuration to build a configuration from angles.",
                 )
-            vector[i : i + 2] /= radius
+            if abs(radius - 1.0) > _UNIT:  # else the same bits: a command goes back in unchanged
+                vector[i : i + 2] /= radius
         return vector
 
     def configuration(self, angles: ArrayLike) -> Array:

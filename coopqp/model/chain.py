@@ -186,15 +186,13 @@ class Chain:
 
 def jacobian_slope(J: Array, v: Array) -> Array:
     """``J′ = Σ_i v_i ∂_i J`` of one arm (6, n), from J (6, n) about a point that moves with its tool, and v (n,)."""
-    slope: Array = jacobian_slopes(J.T[None], v[None])[0].T
-    return slope
+    return jacobian_slopes(J.T[None], v[None])[0].T
 
 
 def _inverse(J: Array, unit: Array) -> Array:
     """Inverse (n, 6) of J (6, n), of least norm in the joints' units (n,); small singular values count as the floor."""
     U, s, Vt = np.linalg.svd(J * unit, full_matrices=False)
-    inverse: Array = unit[:, None] * Vt.T / np.maximum(s, SINGULAR_FLOOR) @ U.T
-    return inverse
+    return unit[:, None] * Vt.T / np.maximum(s, SINGULAR_FLOOR) @ U.T
 
 
 @of_cell

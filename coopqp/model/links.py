@@ -1,4 +1,4 @@
-"""The joints of one arm as a product of frames whose z axes are the joints' axes."""
+"""The axes of joints, and the joints of one arm as a product of frames whose z axes are their axes."""
 
 from __future__ import annotations
 
@@ -11,6 +11,20 @@ import pinocchio as pin
 from coopqp.checks import read_only
 from coopqp.errors import ModelError
 from coopqp.spatial import Array, skew
+
+
+def joint_axes(model: pin.Model) -> Array:
+    """Unit twist of each joint in its own frame (nv, 6), for joints of one degree of freedom.
+
+    It is [axis; 0] of a joint that slides, [0; axis] of one that turns, and NaN where the model has no valid origin.
+    """
+    data, axes = model.createData(), np.empty((model.nv, 6))
+    pin.computeJointJacobians(model, data, pin.neutral(model))
+    for i, joint in enumerate(list(model.joints)[1:], start=1):
+        # Pinocchio drops the second axis of a model with one joint.
+        columns = np.asarray(pin.getJointJacobian(model, data, i, pin.LOCAL)).reshape(6, -1)
+        axes[joint.idx_v] = columns[:, joint.idx_v]
+    return axes
 
 
 def joint_links(model: pin.Model, joints: Sequence[int]) -> tuple[Array, Array, Array, Array]:

@@ -17,6 +17,7 @@ import pinocchio as pin
 from coopqp.errors import InvalidInputError
 from coopqp.model.arm import Arm
 from coopqp.model.joint_limits import LIMIT_FIELDS, JointLimits
+from coopqp.model.links import joint_axes
 from coopqp.spatial import Array
 
 #: Joints whose places differ by no more than this are at the same place [m, and rotation matrix entries].
@@ -106,17 +107,13 @@ def without_copies(arms: Sequence[Arm]) -> tuple[tuple[Arm, ...], tuple[str, ...
 
 def _joints(k: int, arm: Arm) -> list[_Joint]:
     model, data = arm.model, arm.model.createData()
-    neutral = pin.neutral(model)
-    pin.computeJointJacobians(model, data, neutral)
+    pin.forwardKinematics(model, data, pin.neutral(model))
     carrying = set(model.supports[model.frames[model.getFrameId(arm.tool_frame)].parentJoint])
     out = []
-    for i in range(1, model.njoints):
-        # Pinocchio drops the second axis of a model with one joint
-        columns = np.asarray(pin.getJointJacobian(model, data, i, pin.LOCAL)).reshape(6, model.nv)
-        column = columns[:, model.joints[i].idx_v]
+    for i, axis in enumerate(joint_axes(model), start=1):
         place = (arm.T_world_base * data.oMi[i]).homogeneous
-        slides = bool(np.linalg.norm(column[3:]) < 0.5)
-        out.append(_Joint(k, i, model.names[i], slides, place, np.array(column), i in carrying))
+        slides = bool(np.linalg.norm(axis[3:]) < 0.5)
+        out.append(_Joint(k, i, model.names[i], slides, place, axis, i in carrying))
     return out
 
 

@@ -19,10 +19,10 @@ _SAMPLES, _WIDTH = 60, 0.04
 @final
 @dataclass(frozen=True, eq=False)
 class Elbows:
-    """Joint positions over a path's clock: cubics without overshoot through knots.
+    """Joint positions over a path's clock: cubics without overshoot through grid points.
 
     Attributes:
-        clocks: of the knots (K,), rising [s].
+        clocks: of the grid points (K,), rising [s].
         x: joint positions there (K, nv) [rad or m]; continuous joints go on over whole turns.
         slopes: their speeds there (K, nv), per second of the clock.
     """

@@ -69,8 +69,7 @@ class Piece(abc.ABC):
 
     def twist(self, s: float) -> Array:
         """The twist (6,) at one s."""
-        V: Array = self.twists(np.array([s]))[0][0]
-        return V
+        return self.twists(np.array([s]))[0][0]
 
     def bounds(self, low: Array, high: Array) -> MotionBounds | None:
         """Bounds of the motion between s of ``low`` and ``high`` (M,); None by default: nothing is known.
@@ -327,8 +326,7 @@ class PathGeometry:
 
     @cached_property
     def _starts(self) -> list[float]:
-        starts: list[float] = self.marks[:-1].tolist()
-        return starts
+        return self.marks[:-1].tolist()
 
     def _split(self, s: Array) -> list[tuple[Piece, slice, Array]]:
         """Pieces with the part of s that lies on each, in the piece's own s."""

@@ -129,44 +129,35 @@ class GuardedPath:
 
     def pose(self, clock: float) -> pin.SE3 | None:
         """T_world_object at ``clock`` [s]; None if the path fails, :attr:`problem` says how."""
-        if not self.own:
-            return self.path.pose(clock)
-        self.problem = ""
-        self.asked += 1
-        try:
-            pose = self.path.pose(clock)
-            if not isinstance(pose, pin.SE3):
-                self.problem = (
-                    f"the path's pose at its clock {clock:.6g} s is a {type(pose).__name__}, no pinocchio.SE3"
-                )
-                return None
-            pose = as_placement(pose, "pose")
-        except InvalidInputError as error:
-            self.problem = f"the path's pose at its clock {clock:.6g} s is no placement: {error.what}"
-        except Exception as error:
-            self.problem = f"the path raised {said(error)} at its clock {clock:.6g} s"
-        else:
-            if np.abs(pose.translation).max() < FARTHEST:
-                return pose
-            self.problem = f"the path's pose at its clock {clock:.6g} s is {np.abs(pose.translation).max():.3g} m away"
-        return None
+        return self._ask(self.path.pose, clock, "pose") if self.own else self.path.pose(clock)
 
     def twist(self, clock: float) -> Array | None:
         """Body twist at ``clock`` [m/s, rad/s]; None if the path fails."""
-        if not self.own:
-            return self.path.twist(clock)
-        self.problem = ""
+        return self._ask(self.path.twist, clock, "twist") if self.own else self.path.twist(clock)
+
+    def _ask(self, ask: Callable[[float], Any], clock: float, kind: str) -> Any:
+        """What a user's path returns at ``clock`` [s], checked; None if it fails."""
+        self.problem, at = "", f"at its clock {clock:.6g} s"
         self.asked += 1
         try:
-            twist = as_vector(self.path.twist(clock), 6, "twist")
+            value = ask(clock)
+            if kind == "twist":
+                value = as_vector(value, 6, kind)
+                size, most, unit = np.abs(value).max(), FASTEST, ""
+            elif isinstance(value, pin.SE3):
+                value = as_placement(value, kind)
+                size, most, unit = np.abs(value.translation).max(), FARTHEST, " m away"
+            else:
+                self.problem = f"the path's pose {at} is a {type(value).__name__}, no pinocchio.SE3"
+                return None
         except InvalidInputError as error:
-            self.problem = f"the path's twist at its clock {clock:.6g} s is no twist: {error.what}"
+            self.problem = f"the path's {kind} {at} is no {'twist' if kind == 'twist' else 'placement'}: {error.what}"
         except Exception as error:
-            self.problem = f"the path raised {said(error)} at its clock {clock:.6g} s"
+            self.problem = f"the path raised {said(error)} {at}"
         else:
-            if np.abs(twist).max() < FASTEST:
-                return twist
-            self.problem = f"the path's twist at its clock {clock:.6g} s is {np.abs(twist).max():.3g}"
+            if size < most:
+                return value
+            self.problem = f"the path's {kind} {at} is {size:.3g}{unit}"
         return None
 
     def kink(self, before: float, after: float) -> float | None:
@@ -176,8 +167,7 @@ class GuardedPath:
             try:
                 next(search)
             except StopIteration as done:
-                kink: float | None = done.value
-                return kink
+                return done.value
 
     def kinks(self, before: float, after: float) -> Generator[None, None, float | None]:
         """As :meth:`kink`; it pauses before every further twist that it asks for."""

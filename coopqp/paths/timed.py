@@ -23,12 +23,12 @@ from coopqp.spatial import Array
 
 @dataclass(frozen=True, eq=False)
 class SpeedProfile:
-    """Speed along a geometry: the square of ṡ is linear in s between knots, so s̈ is constant there.
+    """Speed along a geometry: the square of ṡ is linear in s between grid points, so s̈ is constant there.
 
     Attributes:
-        s: the knots (K,) [m], increasing from 0.
-        squares: ṡ² at each (K,) [m²/s²]; 0 at both ends, and not at two knots in a row.
-        binding: the most used limit between knots, K − 1 of them; None where it is not known.
+        s: the grid points (K,) [m], increasing from 0.
+        squares: ṡ² at each (K,) [m²/s²]; 0 at both ends, and not at two grid points in a row.
+        binding: the most used limit between grid points, K − 1 of them; None where it is not known.
         use: share of that limit that is used (K − 1,); NaN where it is not known.
 
     Raises:
@@ -43,12 +43,12 @@ class SpeedProfile:
     def __post_init__(self) -> None:
         s, squares = (np.array(x, dtype=float) for x in (self.s, self.squares))
         if s.ndim != 1 or s.shape != squares.shape or len(s) < 2 or not np.isfinite(s).all() or s[0] != 0.0:
-            raise InvalidInputError("its knots are no numbers from 0 on", "SpeedProfile", "Give s and squares alike.")
+            raise InvalidInputError("its grid points do not begin at 0", "SpeedProfile", "Give s and squares alike.")
         if not (np.diff(s) > 0.0).all() or not (np.isfinite(squares) & (squares >= 0.0)).all():
-            raise InvalidInputError("knots do not increase, or squares are negative", "SpeedProfile", "Sort the knots.")
+            raise InvalidInputError("grid points do not rise, or squares are negative", "SpeedProfile", "Sort them.")
         if squares[0] or squares[-1] or (squares[1:] + squares[:-1] <= 0.0).any():
             raise InvalidInputError(
-                "it does not rest at its ends, or never leaves a knot", "SpeedProfile", "Give squares 0 … > 0 … 0."
+                "it does not rest at its ends, or it rests on the way", "SpeedProfile", "Give squares 0 … > 0 … 0."
             )
         size = len(s) - 1
         binding = tuple(self.binding) or (None,) * size
@@ -61,7 +61,7 @@ class SpeedProfile:
 
     @cached_property
     def clocks(self) -> Array:
-        """Clocks of the knots (K,) [s]."""
+        """Clocks of the grid points (K,) [s]."""
         speeds = np.sqrt(self.squares)
         return np.concatenate([[0.0], np.cumsum(2.0 * np.diff(self.s) / (speeds[1:] + speeds[:-1]))])
 
@@ -92,9 +92,8 @@ class SpeedProfile:
 
     @cached_property
     def slopes(self) -> Array:
-        """s̈ between knots (K − 1,) [m/s²]."""
-        out: Array = 0.5 * np.diff(self.squares) / np.diff(self.s)
-        return out
+        """s̈ between grid points (K − 1,) [m/s²]."""
+        return 0.5 * np.diff(self.squares) / np.diff(self.s)
 
 
 @final
@@ -180,8 +179,7 @@ class TimedPath(ObjectPath):
         if speed == 0.0:
             return np.zeros(6)
         R, V = self._geometry.pose(s).rotation, self._geometry.twist(s)
-        out: Array = (V.reshape(2, 3) @ R).ravel() * speed
-        return out
+        return (V.reshape(2, 3) @ R).ravel() * speed
 
     def record(self) -> dict[str, Any]:
         """The path as plain lists of numbers, from which :meth:`of_record` makes it again, bit for bit."""

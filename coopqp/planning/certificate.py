@@ -237,8 +237,7 @@ def _sway(
     changed += linear * (total * rate * (reach * z).sum(axis=1, keepdims=True))
     changed += angular * (total * rate * rate)
     bound = np.linalg.solve(np.eye(n) - E, changed[:, :, None])[:, :, 0]
-    out: Array = np.maximum(bound, 0.0) * (half * half)[:, None] / 8.0
-    return out
+    return np.maximum(bound, 0.0) * (half * half)[:, None] / 8.0
 
 
 #: A proof needs this much of σ_min, so a wrist that is passed at a milliradian is never certified.

@@ -86,7 +86,6 @@ def _smooth(s: Array, x: Array, width: float) -> Lead:
     spline = CubicSpline(s, gaussian_filter1d(wide, width * n, axis=0)[n - 1 : 2 * n - 1])
 
     def lead(at: Array) -> Array:
-        out: Array = spline(at)
-        return out
+        return spline(at)
 
     return lead

@@ -133,8 +133,7 @@ def jerk_use(limited: Limited, squares: Array, jerk: Array) -> Array:
 
     middle = clocks[:-1] + 0.5 * spans
     change = velocities(middle + w) - 2.0 * velocities(middle) + velocities(middle - w)
-    out: Array = np.abs(change) / (w * w * jerk)
-    return out
+    return np.abs(change) / (w * w * jerk)
 
 
 def _times(h: Array, z: Array) -> Array:
@@ -170,8 +169,7 @@ def _changes(A: tuple[Array, Array], z: Array) -> Array:
 def _spans(h: Array, z: Array) -> Array:
     """(t_{i−1} + t_i) / 2 for i = 0 … K − 1: (K,)."""
     t = np.concatenate([[0.0], _times(h, z), [0.0]])
-    out: Array = 0.5 * (t[1:] + t[:-1])
-    return out
+    return 0.5 * (t[1:] + t[:-1])
 
 
 def _slow_down(A: tuple[Array, Array], h: Array, z: Array, bound: Array) -> float:
@@ -220,8 +218,7 @@ def _program(lines: list[_Rows], A: tuple[Array, Array], h: Array, z: Array, bou
             raise UndecidedError(f"the linear program of the jerk limits failed: {found.message}")
         broken = (M @ found.x - right > _TOLERANCE) & ~inside
         if not broken.any():
-            x: Array = np.maximum(found.x, 0.0) * scale
-            return x
+            return np.maximum(found.x, 0.0) * scale
         inside |= broken
     raise AssertionError  # all rows are inside
 

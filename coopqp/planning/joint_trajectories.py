@@ -69,13 +69,11 @@ class ArmTrajectory:
         """Largest motion of each joint (M, n) [rad or m] between two places (M,), none of :attr:`places` between."""
         if len(self.places) == 1:
             return np.zeros((len(low), self.kinematics.n))
-        out: Array = self.rates[self._piece(0.5 * (low + high))] * (high - low)[:, None]
-        return out
+        return self.rates[self._piece(0.5 * (low + high))] * (high - low)[:, None]
 
     def _piece(self, places: Array) -> Indices:
         i = np.searchsorted(self.places, places, side="right") - 1
-        out: Indices = np.clip(i, 0, len(self.places) - 2)
-        return out
+        return np.clip(i, 0, len(self.places) - 2)
 
 
 @final

@@ -157,8 +157,7 @@ def hermite(s: Array, q: Array, slope: Array, at: Array) -> Array:
     """Cubic interpolation (M, n) of rows (K, n) with slopes at s (K,): a guess between knots, never a path."""
     from scipy.interpolate import CubicHermiteSpline  # takes long to import
 
-    out: Array = CubicHermiteSpline(s, q, slope)(at)
-    return out
+    return CubicHermiteSpline(s, q, slope)(at)
 
 
 @final

@@ -137,8 +137,7 @@ def _by_toppra(limited: Limited, scale: float) -> Array | None:
 
         def __call__(self, positions: Any, order: int = 0) -> Array:
             at = np.searchsorted(grid, np.asarray(positions))
-            rows: Array = (knots.q, knots.slope / scale, knots.curvature / scale**2)[order][at]
-            return rows
+            return (knots.q, knots.slope / scale, knots.curvature / scale**2)[order][at]
 
     class SpeedBound(constraint.LinearConstraint):  # type: ignore[misc]
         """ṡ² by the joints' speeds."""

@@ -91,8 +91,7 @@ class Segments:
             starts = np.cumsum(self.lengths) - self.lengths
             return self.when(starts[segment] + share * self.lengths[segment])
         x = np.where(self.quintic[segment], TimeLaw.QUINTIC.inverse(share), share)
-        out: Array = self.start[segment] + x * self.duration[segment]
-        return out
+        return self.start[segment] + x * self.duration[segment]
 
     def knots(self, T_object_tool: pin.SE3, *, distance: float, angle: float, pieces: int) -> tuple[Indices, Array]:
         """Segments and shares of knots between which a tool moves by little, and not much time goes by.

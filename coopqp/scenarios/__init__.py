@@ -7,13 +7,11 @@ from collections.abc import Callable
 from coopqp.errors import UnknownNameError
 from coopqp.paths.scenario import EngineSettings, Scenario
 from coopqp.scenarios.arms import ROBOTS, robot_arm, robot_data_path, robot_file, robot_table
-from coopqp.scenarios.cells import dual_arm7, five_joint_pair, mixed_cell, ring, scara_pair
+from coopqp.scenarios.cells import dual_arm7, five_joint_pair, mixed_cell, panda_bar, ring, scara_pair, ur5_table
 from coopqp.scenarios.loads import LOADED, base_off_lift, heavy_lift, hot_plate, palm_box, torque_lift
 from coopqp.scenarios.obstacles import elbow_and_knob, elbows, forearms, plate_and_post, plate_and_table, random_posts
-from coopqp.scenarios.paper import fast_lift, paper_lift, wide_grasp
-from coopqp.scenarios.robot_data import panda_bar, ur5_table
+from coopqp.scenarios.paper import abb_lift, fast_lift, kuka_lift, mixed_lift, paper_lift, wide_grasp
 from coopqp.scenarios.robots import ROBOT_NAMES, robot_path
-from coopqp.scenarios.triads import abb_lift, kuka_lift, mixed_lift
 from coopqp.scenarios.troubles import at_limit, at_singularity
 
 __all__ = [
@@ -60,29 +58,13 @@ __all__ = [
 #: The function of every scenario, by name; scenarios in :data:`LOADED` run in the physics engine. A call without
 #: arguments uses the defaults. Some need the extra ``robots``.
 SCENARIOS: dict[str, Callable[[], Scenario]] = {
-    "paper_lift": paper_lift,
-    "wide_grasp": wide_grasp,
-    "fast_lift": fast_lift,
-    "kuka_lift": kuka_lift,
-    "abb_lift": abb_lift,
-    "mixed_lift": mixed_lift,
-    "at_limit": at_limit,
-    "at_singularity": at_singularity,
-    "dual_arm7": dual_arm7,
-    "panda_bar": panda_bar,
-    "ur5_table": ur5_table,
-    "mixed_cell": mixed_cell,
-    "ring": ring,
-    "scara_pair": scara_pair,
-    "five_joint_pair": five_joint_pair,
-    "plate_and_post": plate_and_post,
-    "plate_and_table": plate_and_table,
-    "elbow_and_knob": elbow_and_knob,
-    "elbows": elbows,
-    "forearms": forearms,
-    "random_posts": random_posts,
-    **LOADED,
-}
+    make.__name__: make  # type: ignore[misc]  # the functions have other arguments, all with defaults
+    for make in (
+        paper_lift, wide_grasp, fast_lift, kuka_lift, abb_lift, mixed_lift, at_limit, at_singularity, dual_arm7,
+        panda_bar, ur5_table, mixed_cell, ring, scara_pair, five_joint_pair, plate_and_post, plate_and_table,
+        elbow_and_knob, elbows, forearms, random_posts, *LOADED.values(),
+    )
+}  # fmt: skip
 
 
 def scenario(name: str) -> Scenario:

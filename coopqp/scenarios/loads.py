@@ -154,9 +154,5 @@ def palm_box(
 
 #: The scenarios of this module by name.
 LOADED: dict[str, Callable[[], Scenario]] = {
-    "base_off_lift": base_off_lift,
-    "hot_plate": hot_plate,
-    "heavy_lift": heavy_lift,
-    "torque_lift": torque_lift,
-    "palm_box": palm_box,
+    make.__name__: make for make in (base_off_lift, hot_plate, heavy_lift, torque_lift, palm_box)
 }

@@ -129,5 +129,4 @@ def _singular_goal(rest: Scenario, kind: str, arm: int, start: pin.SE3, miss: fl
         joints[4] = -miss
         if miss:
             joints[[3, 5]] += 0.5 * np.pi, -0.5 * np.pi  # a quarter turn of the wrist: it passes sideways
-    carried: pin.SE3 = CellState(rest.cell, q).T_world_tool[arm] * rest.grasp.T_object_tool[arm].inverse()
-    return carried
+    return CellState(rest.cell, q).T_world_tool[arm] * rest.grasp.T_object_tool[arm].inverse()

@@ -22,8 +22,7 @@ from .evaluation.violations import (
 from .evaluation.wrench_bounds import WrenchBounds as WrenchBounds
 from .evaluation.wrenches import RunLoads as RunLoads, read_loads as read_loads
 from .plants.disturbances import Disturbances as Disturbances, misplaced as misplaced
-from .plants.disturbed import DisturbedPlant as DisturbedPlant
-from .plants.kinematic import KinematicPlant as KinematicPlant, Plant as Plant
+from .plants.kinematic import DisturbedPlant as DisturbedPlant, KinematicPlant as KinematicPlant, Plant as Plant
 from .plants.physics import PhysicsError as PhysicsError, PhysicsPlant as PhysicsPlant
 from .plants.physics_options import Interpolation as Interpolation, PhysicsOptions as PhysicsOptions
 from .plants.replay import (

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import abc
 import time
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 
 import numpy as np
 
@@ -25,17 +25,16 @@ class SolverSettings:
     feasibility_tol: float = 1e-6
 
     def __post_init__(self) -> None:
-        keep_scalars(self, "feasibility_tol")
-
-
-def require_count(settings: object, *names: str) -> None:
-    """Raise InvalidInputError unless the named settings are integers > 0."""
-    for name in names:
-        value = getattr(settings, name)
-        if isinstance(value, bool) or not isinstance(value, int) or not 1 <= value < 2**31:
-            raise InvalidInputError(
-                f"{name} = {shown(value)}", type(settings).__name__, "Give a whole number above zero."
-            )
+        """Check the numbers by the type of their defaults: tolerances are > 0, numbers of iterations 1 or more."""
+        for field in fields(self):
+            if type(field.default) is float:
+                keep_scalars(self, field.name)
+            elif type(field.default) is int:
+                value = getattr(self, field.name)
+                if isinstance(value, bool) or not isinstance(value, int) or not 1 <= value < 2**31:
+                    raise InvalidInputError(
+                        f"{field.name} = {shown(value)}", type(self).__name__, "Give a whole number above zero."
+                    )
 
 
 class Workspace:

@@ -80,8 +80,7 @@ def _make_kept(name: str, settings: Any) -> QpSolver:
     if name != "ldp" and find_spec(_KEPT[name]) is None:  # ldp has a remedy of its own
         raise MissingExtraError("solvers", _KEPT[name])
     module = import_module(f"coopqp.solvers.{name}")
-    solver: QpSolver = getattr(module, f"{name.capitalize()}Solver")(settings)
-    return solver
+    return getattr(module, f"{name.capitalize()}Solver")(settings)
 
 
 def _backends() -> tuple[str, ...]:

@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from coopqp.checks import as_options, keep_scalars
-from coopqp.solvers.base import Outcome, QpSolver, SolverSettings, Workspace, require_count
+from coopqp.checks import as_options
+from coopqp.solvers.base import Outcome, QpSolver, SolverSettings, Workspace
 from coopqp.solvers.polish import finish
 from coopqp.solvers.problem import INFINITE, Array, QpProblem, SolverStatus
 
@@ -68,11 +68,6 @@ class DaqpSettings(SolverSettings):
     eta_prox: float = 1e-12
     iter_limit: int = 1000
     polish: bool = True
-
-    def __post_init__(self) -> None:
-        SolverSettings.__post_init__(self)
-        keep_scalars(self, "primal_tol", "dual_tol", "eta_prox")
-        require_count(self, "iter_limit")
 
 
 class DaqpSolver(QpSolver):

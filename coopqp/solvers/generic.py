@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from coopqp.checks import as_options, keep_scalars
+from coopqp.checks import as_options
 from coopqp.errors import InvalidInputError
 from coopqp.solvers.base import Outcome, QpSolver, SolverSettings, Workspace
 from coopqp.solvers.polish import finish
@@ -47,7 +47,6 @@ class GenericSettings(SolverSettings):
 
     def __post_init__(self) -> None:
         SolverSettings.__post_init__(self)
-        keep_scalars(self, "accuracy")
         if self.options is None:
             return
         if not isinstance(self.options, Mapping) or not all(isinstance(k, str) for k in self.options):

@@ -52,8 +52,7 @@ class _Memory:
 
     def solve(self, reach: float) -> int:
         """Fill x and y; returns the iterations, or the code of a failure."""
-        found: int = self._program.solve(reach)
-        return found
+        return self._program.solve(reach)
 
 
 class LdpSolver(QpSolver):

@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from coopqp.checks import as_options, keep_scalars
-from coopqp.solvers.base import Outcome, QpSolver, SolverSettings, Workspace, require_count
+from coopqp.checks import as_options
+from coopqp.solvers.base import Outcome, QpSolver, SolverSettings, Workspace
 from coopqp.solvers.polish import finish
 from coopqp.solvers.problem import QpProblem, SolverStatus
 
@@ -38,11 +38,6 @@ class OsqpSettings(SolverSettings):
     adaptive_rho_interval: int = 50
     accuracy: float = 1e-8
     polish: bool = True
-
-    def __post_init__(self) -> None:
-        SolverSettings.__post_init__(self)
-        keep_scalars(self, "eps_abs", "eps_rel", "eps_infeasible", "accuracy")
-        require_count(self, "max_iter", "check_termination", "adaptive_rho_interval")
 
 
 class OsqpSolver(QpSolver):

@@ -7,8 +7,8 @@ from typing import Any
 
 import numpy as np
 
-from coopqp.checks import as_options, keep_scalars
-from coopqp.solvers.base import Outcome, QpSolver, SolverSettings, Workspace, require_count
+from coopqp.checks import as_options
+from coopqp.solvers.base import Outcome, QpSolver, SolverSettings, Workspace
 from coopqp.solvers.polish import finish
 from coopqp.solvers.problem import QpProblem, SolverStatus
 
@@ -46,11 +46,6 @@ class ProxqpSettings(SolverSettings):
     accuracy: float = 1e-8
     polish: bool = True
     update_preconditioner: bool = False
-
-    def __post_init__(self) -> None:
-        SolverSettings.__post_init__(self)
-        keep_scalars(self, "eps_abs", "eps_infeasible", "accuracy")
-        require_count(self, "max_iter", "max_iter_in", "max_iter_warm", "max_iter_in_warm")
 
 
 class ProxqpSolver(QpSolver):

@@ -106,5 +106,4 @@ def _drawn(amount: Any, arms: int, rng: np.random.Generator) -> Array:
 def _direction(rng: np.random.Generator) -> Array:
     """A unit vector (3,), uniform over the sphere."""
     v = rng.normal(size=3)
-    out: Array = v / np.sqrt(v @ v)
-    return out
+    return v / np.sqrt(v @ v)

@@ -52,8 +52,7 @@ def _entry(line: bytes, where: str) -> dict[str, Any]:
     text = head + b"}"
     if tail != f'{zlib.crc32(text):08x}"}}'.encode():
         raise StudyError(f"{where} is damaged (its checksum is another). {ANEW}")
-    found: dict[str, Any] = json.loads(text)
-    return found
+    return json.loads(text)
 
 
 @final

@@ -13,14 +13,13 @@ from typing import Any, final
 import numpy as np
 
 from coopqp.collision.scene import CollisionScene
-from coopqp.control.interface import Controller, ControlStep
+from coopqp.control.interface import ControlStep
 from coopqp.errors import CoopqpError, StartWarning, said
-from coopqp.files.cellfile.build import build, controller_options, led, new_controller
+from coopqp.files.cellfile.build import CellRun, build, controller_options
 from coopqp.files.cellfile.schema import CellFile
 from coopqp.files.cellfile.strict import build_options
 from coopqp.model.cell import slides
 from coopqp.model.grasp import Grasp
-from coopqp.paths.scenario import Scenario
 from coopqp.scenarios import SCENARIOS
 from coopqp.simulation.evaluation import metrics
 from coopqp.simulation.evaluation.assessment import Tolerances, evaluate, why
@@ -28,65 +27,45 @@ from coopqp.simulation.evaluation.closeness import with_clearance
 from coopqp.simulation.evaluation.figures import worst_status
 from coopqp.simulation.evaluation.readings import Readings, read_run
 from coopqp.simulation.plants.disturbances import Disturbances
-from coopqp.simulation.plants.disturbed import DisturbedPlant
-from coopqp.simulation.plants.kinematic import KinematicPlant, Plant
-from coopqp.simulation.plants.physics import PhysicsPlant
-from coopqp.simulation.plants.physics_options import PhysicsOptions
+from coopqp.simulation.plants.kinematic import DisturbedPlant
 from coopqp.simulation.recording.recording import Recording
 from coopqp.simulation.simulate import simulate
 from coopqp.spatial import Array
-from coopqp.studies.columns import FAILED, OK
 from coopqp.studies.drawing import disturbances
 from coopqp.studies.study import ScenarioFile, Study
+from coopqp.studies.table import FAILED, OK
 
 
 class _TooLongError(CoopqpError):
     """A run took longer than the study allows."""
 
 
-@dataclass(frozen=True, eq=False)
-class _Ready:
-    """A row without its disturbances; built once in each worker."""
-
-    scenario: Scenario
-    kind: str
-    options: Any
-    settings: CellFile | ScenarioFile
-    scene: CollisionScene | None
-    avoids: bool
-
-    def controller(self) -> Controller:
-        return new_controller(self.scenario, self.kind, self.options, self.scene if self.avoids else None)
-
-    def plant(self, disturbed: Disturbances | None) -> Plant:
-        table, s = self.settings.plant, self.scenario
-        if table.kind != "kinematic":
-            return PhysicsPlant.of(s, options=build_options(PhysicsOptions, table), disturbances=disturbed)
-        return KinematicPlant(s.cell) if disturbed is None else DisturbedPlant(s.cell, s.grasp, disturbed)
-
-
 @functools.lru_cache(maxsize=4)
-def _ready(scenario: str, folder: str, text: str) -> _Ready:
-    """Build the task of a row from its settings as JSON."""
+def _ready(scenario: str, folder: str, text: str) -> CellRun:
+    """The run of a row without its disturbances, from its settings as JSON; built once in each worker."""
     data = json.loads(text)
     if not scenario:
-        file = CellFile.model_validate(data)
-        run = build(file, Path(folder))
-        scene = run.scene if file.collision is not None else None
-        task = led(run.scenario, run.options, scene if run.avoids else None)
-        return _Ready(task, run.controller_kind, run.options, file, scene, run.avoids)
+        run = build(CellFile.model_validate(data), Path(folder))
+        return replace(run, scene=run.scene if run.settings.collision is not None else None).led()
     settings = ScenarioFile.model_validate(data)
     task = SCENARIOS[scenario](**settings.scenario)
     dt = task.path.duration / settings.steps if settings.steps is not None else settings.dt_s or task.dt
     kind = str(settings.controller.kind)
     scene = CollisionScene.of(task) if task.obstacles else None
-    options = controller_options(kind, settings.controller)
-    task = replace(led(task, options, scene if kind == "qp" else None), dt=dt)
-    return _Ready(task, kind, options, settings, scene, scene is not None and kind == "qp")
+    return CellRun(
+        replace(task, dt=dt),
+        kind,
+        controller_options(kind, settings.controller),
+        settings.settle_s,
+        settings.longest_s,
+        settings,
+        scene=scene,
+        avoids=scene is not None and kind == "qp",
+    ).led()
 
 
-def build_row(study: Study, index: int) -> _Ready:
-    """Build the task of a row, without its disturbances.
+def build_row(study: Study, index: int) -> CellRun:
+    """Build the run of a row, without its disturbances.
 
     Raises:
         CoopqpError: it cannot be built.
@@ -118,7 +97,7 @@ class RowTask:
         ready = build_row(study, index)
         s, settings = ready.scenario, ready.settings
         disturbed = disturbances(amounts, s.cell, seed=study.seed, draw=row.draw, repeat=row.repeat)
-        plant = ready.plant(disturbed)
+        plant = replace(ready, disturbances=disturbed).plant()
         truth: list[Array] = []
         end = time.monotonic() + study.timeout_s
 
@@ -132,8 +111,8 @@ class RowTask:
             ready.controller(),
             plant,
             q_start=s.q_start,
-            duration=settings.longest_s,
-            settle=settings.settle_s,
+            duration=ready.longest,
+            settle=ready.settle,
             patience=settings.patience_s,
             observe=observe,
         )
@@ -153,7 +132,7 @@ class RowTask:
         }
 
 
-def _figures(ready: _Ready, recording: Recording, readings: Readings) -> dict[str, Any]:
+def _figures(ready: CellRun, recording: Recording, readings: Readings) -> dict[str, Any]:
     cell = ready.scenario.cell
     x = cell.positions(recording.q_command)
     margin = np.minimum(x - cell.limits.lower, cell.limits.upper - x).min(axis=0)
@@ -178,7 +157,7 @@ def _figures(ready: _Ready, recording: Recording, readings: Readings) -> dict[st
     }
 
 
-def _truth(ready: _Ready, disturbed: Disturbances | None, q: Array) -> dict[str, float]:
+def _truth(ready: CellRun, disturbed: Disturbances | None, q: Array) -> dict[str, float]:
     """Largest errors of the chain where the disturbed arms really are (n, nq); NaN where the plant does not say it."""
     if len(q) < 2 or disturbed is None:
         return {"true_chain_mm": float("nan"), "true_chain_deg": float("nan")}

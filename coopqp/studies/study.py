@@ -37,9 +37,9 @@ from coopqp.files.cellfile.text import read_tables
 from coopqp.scenarios import SCENARIOS
 from coopqp.simulation.evaluation.assessment import Tolerances
 from coopqp.simulation.simulate import PATIENCE
-from coopqp.studies.columns import FIGURES
 from coopqp.studies.drawing import DisturbancesTable
 from coopqp.studies.errors import StudyError
+from coopqp.studies.table import FIGURES
 
 #: Largest accepted number of rows, and of values of an axis.
 MAX_ROWS, MAX_VALUES = 1_000_000, 10_000

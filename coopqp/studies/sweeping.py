@@ -12,14 +12,13 @@ from typing import Any
 
 from coopqp.errors import UnreachableError
 from coopqp.output import check_folder, json_bytes, write_files
-from coopqp.studies.columns import FIGURES, LOST, OK, OUTCOMES
 from coopqp.studies.dispatch import Done, run_rows
 from coopqp.studies.engines import Engine
 from coopqp.studies.errors import StudyError
 from coopqp.studies.journal import ANEW, Journal
 from coopqp.studies.row import RowTask, build_row
 from coopqp.studies.study import Study, versions
-from coopqp.studies.table import CSV, PARQUET, csv_bytes, has_parquet, parquet_bytes
+from coopqp.studies.table import CSV, FIGURES, LOST, OK, OUTCOMES, PARQUET, csv_bytes, has_parquet, parquet_bytes
 
 #: Files of a study beside its tables.
 DESCRIPTION, JOURNAL, TIMES = "study.json", "journal.jsonl", "times.csv"

@@ -1,6 +1,6 @@
 """Visualisation: plots, timeline, renderer, viewer, report.
 
-Import public names from here or from :mod:`coopqp`. Drawing needs ``coopqp[plot]``, the viewer ``coopqp[viewer]``.
+Import public names from here or from :mod:`coopqp`. The viewer needs ``coopqp[viewer]``.
 """
 
 from coopqp.lazy import attach

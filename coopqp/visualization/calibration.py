@@ -21,7 +21,7 @@ _FLOOR = 1e-6
 
 
 def calibration_figure(found: Calibration) -> Figure:
-    """Closure of the chain over the samples on top; below, the corrections with two standard deviations.
+    """Loop residual over the samples on top; below, the corrections with two standard deviations.
 
     Raises:
         MissingExtraError: matplotlib is missing.

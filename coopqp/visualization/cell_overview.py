@@ -67,8 +67,7 @@ class Reach:
             return np.empty((0, 3))
         angle = np.linspace(0.0, 2.0 * np.pi, _RING)
         circle = np.sqrt(square) * np.column_stack([np.cos(angle), np.sin(angle)])
-        out: Array = np.column_stack([self.centre[:2] + circle, np.full(_RING, height)])
-        return out
+        return np.column_stack([self.centre[:2] + circle, np.full(_RING, height)])
 
 
 @dataclass(frozen=True, eq=False)

@@ -17,7 +17,7 @@ from coopqp.visualization.style import (
     RED,
     add_legend,
     arm_grid,
-    hide_rest,
+    arm_panels,
     label,
     legend_columns,
     legend_height,
@@ -47,7 +47,7 @@ def check_figure(check: PathCheck) -> Figure:
         MissingExtraError: Matplotlib is not installed.
     """
     shown = [k for k, arm in enumerate(check.arms) if arm.chosen is not None]
-    shown = sorted(sorted(shown, key=lambda k: _tightness(check, k))[:_MOST_ARMS])
+    shown = sorted(sorted(shown, key=lambda k: _branch(check, k).margins.min())[:_MOST_ARMS])
     columns, blocks, width = arm_grid(len(shown))
     kinematics = {k: ArmKinematics(check.cell.arms[k]) for k in shown}
     names = {
@@ -62,18 +62,14 @@ def check_figure(check: PathCheck) -> Figure:
         figure.text(0.5, 0.5, "No arm reaches its grasp at the start of the path.", ha="center", color=INK)
         return figure
     heights = [2.2, 1.8, legend] * blocks + ([_DISTANCES] if bodies else [])
-    grid = figure.add_gridspec(len(heights), columns, height_ratios=heights)
-    panels = np.array([[figure.add_subplot(grid[r, c]) for c in range(columns)] for r in range(3 * blocks)])
+    cells = figure.add_gridspec(len(heights), columns, height_ratios=heights)
+    grid = np.array([[figure.add_subplot(cells[r, c]) for c in range(columns)] for r in range(3 * blocks)])
+    panels = arm_panels(grid, len(shown))
     if len(shown) < len(check.arms):
         figure.suptitle(f"the tightest {len(shown)} of {len(check.arms)} arms", fontsize=12, color=INK)
     lowest = 0.0
-    for place, k in enumerate(shown):
-        block, column = divmod(place, columns)
-        top, bottom, below = panels[3 * block : 3 * block + 3, column]
-        arm = check.arms[k]
-        branch = arm.chosen
-        assert branch is not None
-        own = kinematics[k]
+    for place, (k, (top, bottom, below)) in enumerate(zip(shown, panels, strict=True)):
+        arm, branch, own = check.arms[k], _branch(check, k), kinematics[k]
         joints = np.flatnonzero(own.bounded)
         share = 100.0 * own.margins(branch.q)[:, joints] / (0.5 * (own.upper - own.lower)[joints])
         lines = [
@@ -97,18 +93,16 @@ def check_figure(check: PathCheck) -> Figure:
         if names[k]:
             add_legend(below, lines, names[k], fits[k], size=_SIZE)
         below.set_axis_off()
-        if column == 0:
+        if place % columns == 0:
             top.set_ylabel("margin [% of half range]", fontsize=11, color=INK)
             bottom.set_ylabel("σ_min", fontsize=11, color=INK)
-    used = [(block, column) for block, column in (divmod(place, columns) for place in range(len(shown)))]
-    least, most = (f(panels[3 * b + 1, c].get_ylim()[i] for b, c in used) for i, f in enumerate((min, max)))
-    for b, c in used:
-        panels[3 * b, c].set_ylim(max(1.1 * lowest - 3.0, -40.0), 105.0)
-        panels[3 * b + 1, c].set_ylim(least, most)
-    hide_rest(panels, len(shown))
-    figure.align_ylabels(panels[:, 0])
+    least, most = np.transpose([bottom.get_ylim() for _, bottom, _ in panels])
+    for top, bottom, _ in panels:
+        top.set_ylim(max(1.1 * lowest - 3.0, -40.0), 105.0)
+        bottom.set_ylim(least.min(), most.max())
+    figure.align_ylabels(grid[:, 0])
     if bodies:
-        _distances(figure.add_subplot(grid[-1, :]), bodies, max(_end(check, k) for k in shown))
+        _distances(figure.add_subplot(cells[-1, :]), bodies, max(_end(check, k) for k in shown))
     _legend(figure, distances=bodies is not None)
     return figure
 
@@ -135,16 +129,14 @@ def _distances(axes: Any, found: ClearanceCheck, end: float) -> None:
     plain(axes)
 
 
-def _tightness(check: PathCheck, k: int) -> float:
+def _branch(check: PathCheck, k: int) -> BranchCheck:
     branch = check.arms[k].chosen
     assert branch is not None
-    return float(branch.margins.min())
+    return branch
 
 
 def _end(check: PathCheck, k: int) -> float:
-    branch = check.arms[k].chosen
-    assert branch is not None
-    return float(check.path.duration if np.isfinite(check.path.duration) else branch.clocks[-1]) or 1.0
+    return float(check.path.duration if np.isfinite(check.path.duration) else _branch(check, k).clocks[-1]) or 1.0
 
 
 def _bands(axes: Any, branch: BranchCheck) -> None:

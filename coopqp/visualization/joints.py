@@ -1,4 +1,4 @@
-"""The joints of a run against their limits, one panel per arm. Needs the extra ``plot``."""
+"""The joints of a run against their limits, one panel per arm."""
 
 from __future__ import annotations
 
@@ -9,14 +9,14 @@ import numpy as np
 from coopqp.model.cell import RobotCell
 from coopqp.simulation.recording.recording import Recording
 from coopqp.spatial import Array
-from coopqp.visualization.curves import drawn_rows
 from coopqp.visualization.style import (
     COLOURS,
     INK,
     RED,
     add_legend,
     arm_grid,
-    hide_rest,
+    arm_panels,
+    drawn_rows,
     label,
     legend_columns,
     legend_height,
@@ -61,20 +61,17 @@ def joint_figure(cell: RobotCell, recording: Recording) -> Figure:
     figure = new_figure(width, height, layout="constrained")
     if some:
         figure.suptitle(f"the {len(shown)} of {len(cell)} arms that come closest to a limit", fontsize=12, color=INK)
-    panels = figure.subplots(
+    grid = figure.subplots(
         3 * blocks, columns, squeeze=False, gridspec_kw={"height_ratios": [_POSITION, _SPEED, legend] * blocks}
     )
     reach = 1.15 * max(5.0, float(np.nanmax(np.abs(speed[:, _coordinates(cell, shown)]), initial=0.0)))
-    for place, k in enumerate(shown):
-        block, column = divmod(place, columns)
-        top, bottom, below = panels[3 * block : 3 * block + 3, column]
+    for place, (k, (top, bottom, below)) in enumerate(zip(shown, arm_panels(grid, len(shown)), strict=True)):
         joints = range(*cell.v_slices[k].indices(cell.nv))
         lines = _draw(top, bottom, (times, position[:, joints]), (starts, speed[:, joints]))
         top.set_title(label(cell.arm_names[k], width=72 // (columns + 1)), fontsize=12, color=INK, fontweight="bold")
-        _axes(top, bottom, end=float(recording.time[-1]), reach=reach, first=column == 0)
+        _axes(top, bottom, end=float(recording.time[-1]), reach=reach, first=place % columns == 0)
         add_legend(below, lines, names[k], fits[k], size=_SIZE)
-    hide_rest(panels, len(shown))
-    figure.align_ylabels(panels[:, 0])
+    figure.align_ylabels(grid[:, 0])
     return figure
 
 

@@ -2,18 +2,20 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from coopqp.forces.utilisation import LoadUse
 from coopqp.model.cell import RobotCell
 from coopqp.simulation.evaluation.wrenches import RunLoads
-from coopqp.visualization.curves import drawn
-from coopqp.visualization.style import COLOURS, FAINT, INK, legend_beside, new_figure, save_figure
+from coopqp.spatial import Array
+from coopqp.visualization.style import COLOURS, FAINT, INK, drawn, legend_beside, new_figure, save_figure
 
 if TYPE_CHECKING:
+    from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
 
@@ -28,14 +30,11 @@ def load_figure(use: LoadUse) -> Figure:
     figure = new_figure(8.0, 1.2 + 2.0 * len(rows), layout="constrained")
     panels = figure.subplots(len(rows), 1, sharex=True, squeeze=False)[:, 0]
     for axes, (what, shares) in zip(panels, rows, strict=True):
-        for k, arm in enumerate(cell.arm_names):
-            label, line = arm, shares[:, min(k, shares.shape[1] - 1)]
-            if what == "joint torque":
-                own = cell.v_slices[k]
-                j = own.start + int(shares[:, own].max(axis=0).argmax())
-                label, line = cell.joint_names[j], shares[:, j]
-            axes.plot(use.time, 100.0 * line, color=COLOURS[k % len(COLOURS)], linewidth=1.6, label=label)
-        axes.axhline(100.0, color=INK, linewidth=1.0, linestyle=(0, (4, 3)))
+        if what == "joint torque":
+            _most_used_joints(axes, cell, use.time, shares)
+        else:
+            _lines(axes, use.time, 100.0 * shares, cell.arm_names)
+        _limit(axes, 100.0)
         axes.set_ylim(0.0, 110.0)
         axes.set_ylabel(f"{what}\n[% of its limit]")
         legend_beside(axes)
@@ -60,21 +59,18 @@ def run_loads_figure(cell: RobotCell, loads: RunLoads) -> Figure:
     panels = figure.subplots(2 if palms is None else 3, 1, sharex=True)
     torque, force = panels[0], panels[-1]
     if palms is not None:
-        for k, arm in enumerate(cell.arm_names):
-            used = np.where(np.arange(len(palms)) < loads.moves, np.nan, np.minimum(100.0 * palms[:, k], 200.0))
-            panels[1].plot(loads.time, used, color=COLOURS[k % len(COLOURS)], lw=1.6, label=arm)
-        panels[1].axhline(100.0, color=INK, lw=1.0, ls=(0, (4, 3)))
+        used = np.minimum(100.0 * palms, 200.0)
+        used[: loads.moves] = np.nan
+        _lines(panels[1], loads.time, used, cell.arm_names)
+        _limit(panels[1], 100.0)
         panels[1].set(ylim=(0.0, 120.0), ylabel="friction of the palm\n[% of what holds]")
-    for k, (arm, own) in enumerate(zip(cell.arm_names, cell.v_slices, strict=True)):
-        j = own.start + int(loads.torque_use[:, own].max(axis=0).argmax())
-        colour = COLOURS[k % len(COLOURS)]
-        torque.plot(*drawn(loads.time, 100.0 * loads.torque_use[:, j]), color=colour, lw=1.6, label=cell.joint_names[j])
-        force.plot(*drawn(loads.time, loads.internal[:, k]), color=colour, lw=1.6, label=arm)
+    _most_used_joints(torque, cell, loads.time, loads.torque_use)
+    _lines(force, loads.time, loads.internal, cell.arm_names)
     torque.set_title("Most used joint of each arm, and forces beside the load", loc="left", color=INK)
-    torque.axhline(100.0, color=INK, lw=1.0, ls=(0, (4, 3)))
+    _limit(torque, 100.0)
     torque.set(ylim=(0.0, max(110.0, 105.0 * float(loads.torque_use.max()))), ylabel="joint torque\n[% of its limit]")
     if np.isfinite(loads.internal_limit):
-        force.axhline(loads.internal_limit, color=INK, lw=1.0, ls=(0, (4, 3)), label="accepted in motion")
+        _limit(force, loads.internal_limit, label="accepted in motion")
     force.set(ylim=(0.0, None), ylabel="internal force [N]" if palms is None else "squeeze [N]", xlabel="time [s]")
     if 0 < loads.moves < len(loads.time):
         force.axvspan(0.0, loads.time[loads.moves], color=FAINT, alpha=0.2, lw=0.0, label="before it moves")
@@ -82,6 +78,22 @@ def run_loads_figure(cell: RobotCell, loads: RunLoads) -> Figure:
         legend_beside(axes)
     force.set_xlim(0.0, float(loads.time[-1]))
     return figure
+
+
+def _most_used_joints(axes: Axes, cell: RobotCell, time: Array, shares: Array) -> None:
+    """The shares of limits (T, nv) of the joint of each arm that uses most [%]."""
+    joints = [own.start + int(shares[:, own].max(axis=0).argmax()) for own in cell.v_slices]
+    _lines(axes, time, 100.0 * shares[:, joints], [cell.joint_names[j] for j in joints])
+
+
+def _lines(axes: Axes, time: Array, values: Array, labels: Sequence[str]) -> None:
+    """One line (T, N) per arm."""
+    for k, label in enumerate(labels):
+        axes.plot(*drawn(time, values[:, k]), color=COLOURS[k % len(COLOURS)], lw=1.6, label=label)
+
+
+def _limit(axes: Axes, height: float, **options: Any) -> None:
+    axes.axhline(height, color=INK, lw=1.0, ls=(0, (4, 3)), **options)
 
 
 def write_load_use(use: LoadUse, file: str | Path, *, dpi: int = 200) -> Path:

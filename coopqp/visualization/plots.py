@@ -1,7 +1,7 @@
 """The paper's Figures 4 and 5 of any run.
 
 Each function returns a Matplotlib figure without a window and without global state;
-:func:`coopqp.visualization.style.save_figure` writes it. The functions need the extra ``plot``.
+:func:`coopqp.visualization.style.save_figure` writes it.
 """
 
 from __future__ import annotations
@@ -18,9 +18,8 @@ from coopqp.model.cell import RobotCell
 from coopqp.simulation.evaluation import metrics
 from coopqp.simulation.recording.recording import Recording
 from coopqp.spatial import Array
-from coopqp.visualization.curves import drawn
 from coopqp.visualization.renderer import View, body_solids, cell_solids, name_places, object_solids, render
-from coopqp.visualization.style import COLOURS, DASHES, GRID, INK, WIDTH, label, new_figure, plain, text_width
+from coopqp.visualization.style import COLOURS, DASHES, GRID, INK, WIDTH, drawn, label, new_figure, plain, text_width
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

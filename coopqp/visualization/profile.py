@@ -1,4 +1,4 @@
-"""The speed profile of a timed path, coloured by the joint that binds. Needs the extra ``plot``."""
+"""The speed profile of a timed path, coloured by the joint that binds."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A report of a run on one offline page: verdict, figures, plots, settings, notes. Needs the extra ``plot``."""
+"""A report of a run on one offline page: verdict, figures, plots, settings, notes."""
 
 from __future__ import annotations
 

@@ -1,16 +1,20 @@
-"""Common parts of all figures: colours, type, files, and legends that fit their place. Needs the extra ``plot``."""
+"""Common parts of all figures: colours, type, files, legends that fit, long curves."""
 
 from __future__ import annotations
 
 import io
 import textwrap
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
+
+import numpy as np
 
 from coopqp.errors import InvalidInputError, printable
 from coopqp.lazy import needed
 from coopqp.output import write_files
+from coopqp.simulation.recording.recording import Recording
+from coopqp.spatial import Array
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -32,6 +36,10 @@ WIDTH = 10.0
 #: Longest line of a label in characters; longer labels are broken, none is cut.
 LABEL = 34
 _HANDLE, _PAD, _LINE = 24.0, 14.0, 1.45  # widths of a legend's handle and gap [pt], height of its lines [of the type]
+#: Spans of time of a drawn curve, more than a page has pixels.
+DRAWN_SPANS = 4000
+#: Numbers beyond this are drawn there: Matplotlib cannot draw 1e300.
+_FAR = 1e12
 
 
 def require_matplotlib() -> None:
@@ -96,12 +104,12 @@ def arm_grid(shown: int, *, most: int = 3) -> tuple[int, int, float]:
     return columns, max(-(-shown // columns), 1), WIDTH if columns > 1 else 7.0
 
 
-def hide_rest(panels: Any, shown: int) -> None:
-    """Hide the places from ``shown`` on in a grid of panels (3 B, C), in which a place is three panels of a column."""
-    columns = panels.shape[1]
-    for block, column in (divmod(place, columns) for place in range(shown, panels.size // 3)):
-        for panel in panels[3 * block : 3 * block + 3, column]:
-            panel.set_axis_off()
+def arm_panels(grid: Any, shown: int) -> list[Any]:
+    """Three panels of a column for each arm that is shown, from a grid of panels (3 B, C). The others are hidden."""
+    places = [block[:, column] for block in np.split(grid, len(grid) // 3) for column in range(grid.shape[1])]
+    for panel in (panel for place in places[shown:] for panel in place):
+        panel.set_axis_off()
+    return places[:shown]
 
 
 def label(name: str, *, width: int = LABEL) -> str:
@@ -140,3 +148,33 @@ def add_legend(axes: Axes, handles: Sequence[Any], labels: Sequence[str], column
         handles, labels, loc="upper center", ncols=columns, frameon=False, fontsize=size, labelcolor=INK,
         handlelength=1.5, handletextpad=0.5, columnspacing=1.0, borderaxespad=0.0, borderpad=0.0,
     )  # fmt: skip
+
+
+def drawn(time: Array, values: Array, *, spans: int = DRAWN_SPANS) -> tuple[Array, Array]:
+    """Curves as they are drawn: of long ones the least and the largest value of each of many equal spans.
+
+    Args:
+        time: (T,) [s].
+        values: (T,), or (T, n) for n curves.
+        spans: number of spans, at least 1.
+    """
+    values = np.clip(values, -_FAR, _FAR)
+    if len(time) <= 4 * spans:
+        return time, values
+    first = np.linspace(0, len(time), spans, endpoint=False).astype(int)
+    ends = np.stack([np.fmin.reduceat(values, first), np.fmax.reduceat(values, first)], axis=1)
+    return np.repeat(time[first], 2), ends.reshape(-1, *values.shape[1:])
+
+
+def drawn_rows(recording: Recording, count: int, rows: Callable[[slice], Array]) -> tuple[Array, Array]:
+    """Times and rows of ``count`` samples or steps as they are drawn, from ``rows(part)`` (T, n) of one part after the
+    other.
+    """
+    if count <= 4 * DRAWN_SPANS:
+        return recording.time[:count], np.clip(rows(slice(0, count)), -_FAR, _FAR)
+    curves = [
+        drawn(recording.time[part], rows(part), spans=max(1, (part.stop - part.start) * DRAWN_SPANS // count))
+        for part in recording.parts(count)
+    ]
+    times, values = zip(*curves, strict=True)
+    return np.concatenate(times), np.concatenate(values)

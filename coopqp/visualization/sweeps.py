@@ -1,4 +1,4 @@
-"""The figures of a sweep over its varied settings: medians, and the span of the draws. Needs the extra ``plot``."""
+"""The figures of a sweep over its varied settings: medians, and the span of the draws."""
 
 from __future__ import annotations
 
@@ -8,9 +8,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from coopqp.studies.columns import FIGURES, OK
 from coopqp.studies.sweeping import Sweep
-from coopqp.studies.table import cell_text
+from coopqp.studies.table import FIGURES, OK, cell_text
 from coopqp.studies.units import name_and_unit
 from coopqp.visualization.style import COLOURS, DASHES, GRID, INK, add_legend, label, legend_columns, new_figure, plain
 

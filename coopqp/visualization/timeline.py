@@ -1,4 +1,4 @@
-"""One figure of a whole run over time: errors, rate, and binding limits. Needs the extra ``plot``."""
+"""One figure of a whole run over time: errors, rate, and binding limits."""
 
 from __future__ import annotations
 
@@ -14,8 +14,7 @@ from coopqp.simulation.evaluation.assessment import Tolerances
 from coopqp.simulation.evaluation.readings import Readings
 from coopqp.simulation.recording.recording import LONGEST, Recording
 from coopqp.simulation.recording.scene import SceneError, reading
-from coopqp.visualization.curves import drawn
-from coopqp.visualization.style import FAINT, GRID, INK, RED, WIDTH, label, new_figure, plain
+from coopqp.visualization.style import FAINT, GRID, INK, RED, WIDTH, drawn, label, new_figure, plain
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

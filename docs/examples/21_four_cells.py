@@ -4,14 +4,12 @@ import sys
 from pathlib import Path
 
 from coopqp import check_path, load_cell_file
+from coopqp.files import example_path
 from coopqp.simulation import evaluate, read_run
 
-CELLS = Path(__file__).parent / "cells"
 runs = {}
 for name in ("two_ur10", "panda_and_ur5", "pandas_and_ur5s", "gantry_and_ur5"):
-    run = load_cell_file(
-        CELLS / f"{name}.toml"
-    )  # there is no start in the file: this finds one
+    run = load_cell_file(example_path(name))  # there is no start in the file: this finds one
     task = run.scenario
     check = check_path(task.cell, task.grasp, task.path, q_start=task.q_start)
     recording = run.run()

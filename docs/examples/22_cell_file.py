@@ -4,8 +4,9 @@ import sys
 from pathlib import Path
 
 from coopqp import load_cell_file
+from coopqp.files import example_path
 
-task = load_cell_file(Path(__file__).parent / "cells" / "bar.toml")
+task = load_cell_file(example_path("bar"))
 recording = task.run()
 print(f"finished: {recording.finished} after {recording.time[-1]:.2f} s; {recording.notes[0]}")
 

@@ -185,19 +185,6 @@ def test_quiet_prints_nothing(
     assert capsys.readouterr() == ("", "")
 
 
-def test_without_rich_the_lines_are_plain(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    monkeypatch.setitem(sys.modules, "rich.console", None)
-    monkeypatch.setattr("sys.stderr.isatty", lambda: True)
-    monkeypatch.setattr(demo, "demo_pictures", lambda *_: {"a.png": b"1"})
-    assert cli.main(["demo", "--steps", "2", "--out", str(tmp_path)]) == 0
-    printed = capsys.readouterr()
-    runs = [f"running {method}, N = 2" for method in demo.METHODS]
-    assert printed.err.splitlines() == [*runs, "drawing the pictures"]
-    assert "qp" in printed.out
-
-
 def test_an_interrupt_is_status_130(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -16,7 +16,6 @@ import numpy as np
 import pinocchio as pin
 import pytest
 from hypothesis import given, settings, strategies as st
-from marks import slow_unless
 from places import CELL_FILES
 from ruamel.yaml import YAML
 
@@ -43,7 +42,7 @@ from coopqp.files.cellfile.hints import grip_hints
 from coopqp.files.cellfile.renamed import renewed
 from coopqp.files.cellfile.text import read_tables
 from coopqp.scenarios import ROBOTS, Scenario, robot_file, robot_path
-from coopqp.simulation import PhysicsOptions, PhysicsPlant, Tolerances, evaluate, read_run
+from coopqp.simulation import PhysicsOptions, PhysicsPlant, Tolerances, read_run
 
 #: Options of types that a file cannot hold.
 NOT_IN_FILES = {(PostureOptions, "target"), (SupervisionOptions, "stiffness")}
@@ -103,14 +102,6 @@ def test_the_papers_file_gives_the_figures_of_the_code(
     assert figure == run_method(paper, kind, 400, solver="daqp").eps_p_mm
     if eps_p_mm is not None:
         assert figure == pytest.approx(eps_p_mm, abs=5e-4)
-
-
-@pytest.mark.parametrize("file", slow_unless(lambda file: file.stem == "bar", EXAMPLES), ids=lambda file: file.stem)
-def test_the_examples_of_the_docs_run_and_hold(file: Path) -> None:
-    run = load_cell_file(file)
-    recording = run.run()
-    verdict = evaluate(run.scenario.cell, recording, read_run(run.scenario.cell, recording))
-    assert all(finding.holds for finding in verdict), verdict
 
 
 def test_the_recording_carries_the_file(load: Callable[[str], CellRun], tmp_path: Path) -> None:
@@ -660,7 +651,7 @@ def test_what_is_no_yaml_cell_file_is_refused(text: str, tmp_path: Path) -> None
 @pytest.mark.slow
 def test_a_yaml_file_says_what_the_toml_file_says(tmp_path: Path) -> None:
     file = tmp_path / "cell.yml"
-    for example in (example_path("paper_lift"), *EXAMPLES):
+    for example in EXAMPLES:
         tables = read_tables(example)
         (tmp_path / example.name).write_text(example.read_text())
         with file.open("w") as stream:

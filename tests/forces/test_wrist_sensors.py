@@ -89,8 +89,15 @@ def test_what_is_wrong_with_a_sensor_is_found(sensor: dict[str, Any], said: str)
     judgement = found({"slave_1": WristSensor(**sensor)}, 1)
     assert not judgement.fine
     assert said in judgement.findings[1].explain()
-    assert judgement.findings[0].fine
-    assert judgement.findings[2].fine
+    assert [f.fine for f in judgement.findings] == [True, False, True], judgement.explain()
+
+
+def test_what_noise_leaves_of_dead_torques_is_no_torque() -> None:
+    """A gain of 1e-4 made 1 N·m of noise a load of 10 kN·m, and the other sensors read 94 N too much."""
+    for gain in (1e-4, 1e-2):
+        judgement = found({"slave_1": WristSensor(torque_gain=gain)}, 1)
+        assert [f.fine for f in judgement.findings] == [True, False, True], judgement.explain()
+        assert "its torques are dead" in judgement.explain()
 
 
 def test_swapped_sensors_are_found_and_right_ones_are_right() -> None:

@@ -18,7 +18,7 @@ from importlib.metadata import metadata
 from pathlib import Path
 
 import pytest
-from places import ROOT
+from places import CELL_FILES as CELLS, ROOT
 
 from coopqp import load_cell_file
 from coopqp.cli import demo, main as cli
@@ -26,7 +26,6 @@ from coopqp.scenarios import robot_file
 from coopqp.simulation import Tolerances
 from coopqp.visualization import plots
 
-CELLS = ROOT / "docs" / "examples" / "cells"
 PAGES = [ROOT / "README.md", ROOT / "benchmarks" / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]
 BLOCK = re.compile(r"^```(\S+)[^\n]*\n(.*?)^```$", re.M | re.S)
 #: Languages that are shown only: outputs and diagrams.
@@ -225,7 +224,8 @@ def test_a_stranger_gets_from_files_to_a_checked_run_by_the_page_alone(cell: str
     assert "start]" not in text
     assert "positions" not in text
     page = (ROOT / "docs/howto/four-cells.md").read_text(encoding="utf-8")
-    lines = dict(BLOCK.findall(page))["sh"].replace("two_ur10", cell).replace(" --plots", "").splitlines()
-    assert [line.split()[1] for line in lines] == ["check", "run", "plan", "run"]
+    first, *lines = dict(BLOCK.findall(page))["sh"].replace("two_ur10", cell).replace(" --plots", "").splitlines()
+    assert [line.split()[1] for line in (first, *lines)] == ["schema", "check", "run", "plan", "run"]
+    run_coopqp(shlex.split(first)[1:], first)
     for line in lines:
         run_coopqp([*shlex.split(line)[1:], "--quiet"], line)

@@ -94,5 +94,5 @@ def test_the_order_of_the_arms_does_not_matter(
         measured=worst,
         target=1e-11,
         unit="rad/s",
-        note=f"six cells of two to five arms in closed loop, each by its master and leaderless; largest in {where}",
+        note=f"six cells of two to five arms in closed loop, each by its leader and leaderless; largest in {where}",
     )

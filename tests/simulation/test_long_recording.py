@@ -20,7 +20,7 @@ from coopqp import QPController, Recording, simulate
 from coopqp.scenarios import Scenario, at_limit
 from coopqp.simulation import Monitor, RecordingError, evaluate, read_run
 from coopqp.simulation.recording import recording as recordings, rows
-from coopqp.visualization import curves
+from coopqp.visualization import style
 
 ARRAYS = ("time", "q", "q_command", "velocity", "clock", "rate", "status", "reference", "T_object_tool")
 
@@ -123,6 +123,17 @@ def test_a_long_file_that_is_cut_is_refused(run: Recording, tmp_path: Path, smal
         Recording.load(tmp_path / "cut.npz")
 
 
+def test_an_array_whose_header_does_not_parse_is_refused(run: Recording, tmp_path: Path) -> None:
+    with zipfile.ZipFile(run.save(tmp_path / "run.npz")) as archive:
+        content = {name: archive.read(name) for name in archive.namelist()}
+    content["text.npy"] = content["text.npy"].replace(b"'shape': ()", b"'shape': N)")
+    with zipfile.ZipFile(tmp_path / "other.npz", "w") as archive:
+        for name, array in content.items():
+            archive.writestr(name, array)
+    with pytest.raises(RecordingError, match="is not a coopqp recording"):
+        Recording.load(tmp_path / "other.npz")
+
+
 def test_the_files_end_with_the_recording(scenario: Scenario, small: Path) -> None:
     def handles() -> int:
         return len(list(Path("/proc/self/fd").iterdir()))
@@ -172,7 +183,7 @@ def judged(run: Recording, scenario: Scenario) -> set[Any]:
 )
 def test_a_drawn_curve_keeps_its_extremes(values: Any, spans: int) -> None:
     time = np.arange(float(len(values)))
-    times, curve = curves.drawn(time, values, spans=spans)
+    times, curve = style.drawn(time, values, spans=spans)
     assert len(times) == len(curve) <= max(4 * spans, 2)
     np.testing.assert_array_equal(curve.max(axis=0), values.max(axis=0))
     np.testing.assert_array_equal(curve.min(axis=0), values.min(axis=0))

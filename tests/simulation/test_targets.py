@@ -15,8 +15,8 @@ from coopqp.model import CellState
 from coopqp.paths import TimeLaw
 from coopqp.scenarios import Scenario
 from coopqp.simulation import Disturbances, PhysicsOptions
-from coopqp.simulation.plants.encoders import Encoders
 from coopqp.simulation.plants.replay import Replay, exact_motion, recorded_motion
+from coopqp.simulation.plants.sensors import Encoders
 from coopqp.simulation.plants.targets import JointTargets
 from coopqp.spatial import Array
 

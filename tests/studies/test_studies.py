@@ -40,11 +40,11 @@ from coopqp.studies import (
     run_rows,
     sweep,
 )
-from coopqp.studies.columns import FIGURES
 from coopqp.studies.drawing import DisturbancesTable, disturbances
 from coopqp.studies.journal import Journal, read_journal
 from coopqp.studies.row import RowTask
 from coopqp.studies.study import put
+from coopqp.studies.table import FIGURES
 
 SMALL = """
 name = "small"

@@ -21,12 +21,12 @@ _SHARE_OF_SLOPE = 0.9
 class PreviewOptions:
     """Settings of the preview."""
 
-    cell: Annotated[float, Doc("longest interval between knots [s of the clock]")] = 0.02
-    joint_step: Annotated[float, Doc("largest joint motion between knots [rad or m]")] = 0.02
+    cell: Annotated[float, Doc("longest interval between grid points [s of the clock]")] = 0.02
+    joint_step: Annotated[float, Doc("largest joint motion between grid points [rad or m]")] = 0.02
     slope_step: Annotated[
-        float, Doc("largest change of a joint's slope between knots, as a share of the largest slope and of its speed")
+        float, Doc("largest change of a joint's slope between grid points, as a share of its largest slope and speed")
     ] = 0.1
-    shortest: Annotated[float, Doc("intervals between knots are not halved below this [s]")] = 1e-6
+    shortest: Annotated[float, Doc("intervals between grid points are not halved below this [s]")] = 1e-6
     margin: Annotated[
         float, Doc("η, share of velocity and acceleration limits that is planned with where acceleration is limited")
     ] = 0.95
@@ -38,7 +38,7 @@ class PreviewOptions:
         ),
     ] = 0.5
     doubt: Annotated[
-        float, Doc("share of the differences of q″ at a knot that stands for what the path does between knots")
+        float, Doc("share of the differences of q″ at a grid point that stands for what the path does between them")
     ] = 0.3
     rate_slope: Annotated[float, Doc("σ̇_max, largest change of the rate [1/s], where acceleration is limited")] = 10.0
     singular_rate: Annotated[
@@ -74,7 +74,7 @@ class PlanLimits:
     Attributes:
         speed, acceleration: of each joint (nv,).
         jump: change of velocity that a joint can take within one step, at a corner or at the path's end (nv,).
-        slope_change: change of slope between knots that is always allowed (nv,).
+        slope_change: change of slope between grid points that is always allowed (nv,).
         slope_cap: largest change of the rate [1/s].
         room: motion of each joint in two steps, from rest or at full speed, whichever is less: the least distance of
             an arm from the end of its reach (nv,).

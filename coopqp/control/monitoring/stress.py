@@ -2,7 +2,7 @@
 
 A servo of stiffness Kp that stands off its command pushes with ``Kp (q_command − q_measured)``. At the object that is
 the wrench ``w_k = C_k⁻¹ A_k (q_command − q_measured)`` with the compliance ``C_k = A_k Kp⁻¹ A_kᵀ``, as
-:meth:`coopqp.forces.stress.StressModel.from_servos` reads it.
+:meth:`coopqp.forces.internal.StressModel.from_servos` reads it.
 
 An arm in a rigid grip that does not follow its command is dragged along by the others, and all arms then stand off
 their commands by the same displacement: nothing parts them, but the wrenches do not cancel. At rest, where neither

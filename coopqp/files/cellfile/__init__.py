@@ -1,6 +1,6 @@
 """Cell files: a cell and its task in TOML or YAML. Use :func:`load_cell_file`, then :meth:`CellRun.run`.
 
-Reading a file executes nothing: every name in it is looked up in a fixed table. Needs the extra ``files``.
+Reading a file executes nothing: every name in it is looked up in a fixed table.
 """
 
 from __future__ import annotations
@@ -27,8 +27,9 @@ __all__ = [
     "schema_text",
 ]
 
+_SHIPPED = Path(__file__).parents[2] / "scenarios" / "cells"
 #: Stems of the cell files that come with coopqp.
-CELLS = ("paper_lift", "paper_baseline")
+CELLS = tuple(sorted(file.stem for file in _SHIPPED.glob("*.toml")))
 
 
 def example_path(name: str) -> Path:
@@ -39,7 +40,7 @@ def example_path(name: str) -> Path:
     """
     if name not in CELLS:
         raise UnknownNameError("cell file", name, CELLS)
-    return Path(__file__).parents[2] / "scenarios" / "cells" / f"{name}.toml"
+    return _SHIPPED / f"{name}.toml"
 
 
 def load_cell_file(path: str | Path) -> CellRun:

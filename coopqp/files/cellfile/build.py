@@ -47,7 +47,8 @@ from coopqp.planning.self_motion import led_path
 from coopqp.planning.starts import find_start
 from coopqp.simulation.evaluation.assessment import Tolerances
 from coopqp.simulation.evaluation.closeness import default_scene, with_clearance
-from coopqp.simulation.plants.kinematic import KinematicPlant, Plant
+from coopqp.simulation.plants.disturbances import Disturbances
+from coopqp.simulation.plants.kinematic import DisturbedPlant, KinematicPlant, Plant
 from coopqp.simulation.plants.physics import PhysicsPlant
 from coopqp.simulation.plants.physics_options import PhysicsOptions
 from coopqp.simulation.recording.recording import Recording
@@ -122,7 +123,7 @@ class CellTask:
 
 @dataclass(frozen=True, eq=False)
 class CellRun:
-    """A run that a cell file describes.
+    """A run that a cell file describes, or one of a scenario with settings as in a cell file.
 
     Attributes:
         scenario: cell, grasp, path, start and object.
@@ -131,9 +132,11 @@ class CellRun:
         settle: time that the run continues after the end of the path [s].
         longest: longest run [s], or None.
         settings: contents of the file as plain data; its table ``output`` selects the files to write.
+        disturbances: deviations of the plant from the ideal one; None for none.
         stiffness: what the file says of the joint servos (nv,) [N·m/rad or N/m]; None if it says nothing. The options
             of a controller ``"qp"`` have it; for :class:`coopqp.ForceOptions`.
         scene: the bodies whose distances are kept or checked; None without bodies.
+        avoids: the controller keeps the margins of the scene.
         file: the file, for messages.
     """
 
@@ -142,19 +145,25 @@ class CellRun:
     options: Any
     settle: float
     longest: float | None
-    settings: CellFile
+    settings: Any
+    disturbances: Disturbances | None = None
     stiffness: Array | None = None
     scene: CollisionScene | None = None
+    avoids: bool = False
     file: Path | None = None
-
-    @property
-    def avoids(self) -> bool:
-        """Whether the controller keeps the margins of the scene."""
-        return self.settings.collision is not None and self.settings.collision.avoid
 
     def controller(self) -> Controller:
         """A new controller."""
-        return new_controller(self.scenario, self.controller_kind, self.options, self.scene if self.avoids else None)
+        s, more = self.scenario, {"constraints": [Clearance(self.scene)]} if self.scene and self.avoids else {}
+        return CONTROLLERS[self.controller_kind][0](s.cell, s.grasp, s.path, dt=s.dt, options=self.options, **more)
+
+    def led(self) -> CellRun:
+        """The same run with its redundant arms led as its check proves; itself where nothing is proved or led."""
+        if not isinstance(self.options, QPOptions) or self.options.preview is None:
+            return self
+        s, scene = self.scenario, self.scene if self.avoids else None
+        path = led_path(s.cell, s.grasp, s.path, q_start=s.q_start, posture=self.options.posture, scene=scene)
+        return replace(self, scenario=replace(s, path=path))
 
     def plant(self) -> Plant:
         """A new plant.
@@ -162,10 +171,10 @@ class CellRun:
         Raises:
             MissingExtraError: the physics plant without MuJoCo.
         """
-        table = self.settings.plant
-        if table.kind == "kinematic":
-            return KinematicPlant(self.scenario.cell)
-        return self.physics_plant()
+        s, disturbed = self.scenario, self.disturbances
+        if self.settings.plant.kind == "physics":
+            return self.physics_plant()
+        return KinematicPlant(s.cell) if disturbed is None else DisturbedPlant(s.cell, s.grasp, disturbed)
 
     def physics_plant(self) -> PhysicsPlant:
         """A new physics plant: the file's, or one with default settings where the file asks for the kinematic one.
@@ -173,10 +182,9 @@ class CellRun:
         Raises:
             MissingExtraError: MuJoCo is not installed.
         """
-        table, more = self.settings.plant, self.settings.disturbances
+        table = self.settings.plant
         options = build_options(PhysicsOptions, table) if table.kind == "physics" else None
-        disturbances = None if more is None else build_disturbances(more)
-        return PhysicsPlant.of(self.scenario, options=options, disturbances=disturbances)
+        return PhysicsPlant.of(self.scenario, options=options, disturbances=self.disturbances)
 
     def drivers(self, kind: str | None = None) -> dict[str, RobotDriver]:
         """A new driver for each arm, as the file's tables say.
@@ -217,7 +225,6 @@ class CellRun:
         Raises:
             CellFileError: the controller refuses the start.
         """
-        scene = self.scene if self.avoids else None
         s = self.scenario
         metadata = {
             "scenario": s.name,
@@ -227,7 +234,7 @@ class CellRun:
         }
         try:
             recording = simulate(
-                new_controller(led(s, self.options, scene), self.controller_kind, self.options, scene),
+                self.led().controller(),
                 self.plant(),
                 q_start=s.q_start,
                 duration=self.longest,
@@ -239,23 +246,6 @@ class CellRun:
             return with_clearance(recording, self.scene, avoided=self.avoids)
         except InvalidInputError as error:
             raise CellFileError(f"{self.file or s.name}: {in_words_of_the_file(str(error))}") from error
-
-
-def led(scenario: Scenario, options: Any, scene: CollisionScene | None) -> Scenario:
-    """The same task with its redundant arms led as its check proves; itself where nothing is proved or led."""
-    if not isinstance(options, QPOptions) or options.preview is None:
-        return scenario
-    s = scenario
-    path = led_path(s.cell, s.grasp, s.path, q_start=s.q_start, posture=options.posture, scene=scene)
-    return scenario if path is s.path else replace(s, path=path)
-
-
-def new_controller(scenario: Scenario, kind: str, options: Any, scene: CollisionScene | None) -> Controller:
-    """A new controller of :data:`CONTROLLERS` that keeps the margins of ``scene``, if there is one."""
-    s = scenario
-    more = {} if scene is None else {"constraints": [Clearance(scene)]}
-    made: Controller = CONTROLLERS[kind][0](s.cell, s.grasp, s.path, dt=s.dt, options=options, **more)
-    return made
 
 
 def read(file: Path) -> CellFile:
@@ -353,7 +343,9 @@ def build(file: CellFile, folder: Path) -> CellRun:
     options, stiffness = controller_options(kind, file.controller), build_stiffness(file.arms, cell)
     if stiffness is not None and kind == "qp":
         options = replace(options, supervision=replace(options.supervision, stiffness=tuple(stiffness.tolist())))
-    return CellRun(scenario, kind, options, file.settle_s, file.longest_s, file, stiffness, scene)
+    disturbances = None if file.disturbances is None else build_disturbances(file.disturbances)
+    avoids = file.collision is not None and file.collision.avoid
+    return CellRun(scenario, kind, options, file.settle_s, file.longest_s, file, disturbances, stiffness, scene, avoids)
 
 
 def _by_arm(given: Mapping[str, Any], cell: RobotCell, where: str) -> list[Any]:

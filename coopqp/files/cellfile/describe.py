@@ -66,8 +66,7 @@ def _key(key: str, node: Node, *, required: bool) -> Iterator[str]:
 
 
 def _first_line(table: Node) -> str:
-    text: str = table.get("description", "").strip().split("\n", 1)[0].replace("``", "")
-    return text
+    return table.get("description", "").strip().split("\n", 1)[0].replace("``", "")
 
 
 def _choices(node: Node) -> list[Node]:

@@ -204,8 +204,8 @@ class TimedTable(Table):
     pieces: Annotated[list[Annotated[list[float], Len(19, 25)]], Len(1, 2 * MAX_WAYPOINTS)] = Field(
         description="numbers of each piece of the geometry: coopqp.TimedPath.record"
     )
-    s_m: Annotated[list[float], Len(2, MAX_LIST)] = Field(description="knots: the object's motion from the start")
-    squares: Annotated[list[float], Len(2, MAX_LIST)] = Field(description="square of the speed at each knot [m²/s²]")
+    s_m: Annotated[list[float], Len(2, MAX_LIST)] = Field(description="grid points: the object's motion from the start")
+    squares: Annotated[list[float], Len(2, MAX_LIST)] = Field(description="square of the speed at each of them [m²/s²]")
     planned_share: Annotated[float, Ge(1e-6), Le(1.0)] | None = Field(
         default=None, description="share of the joints' limits that it was planned with"
     )

@@ -1,4 +1,4 @@
-"""Cell files as text: plain tables in TOML, and the paths in them for another folder."""
+"""Cell files that are written: the file of a plan, the file of a calibration, and plain tables in TOML."""
 
 from __future__ import annotations
 
@@ -8,8 +8,17 @@ from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+import pinocchio as pin
+from pydantic import ValidationError
+
+from coopqp.files.cellfile.build import DEFAULT_DT, ELBOWS, CellRun, read
+from coopqp.files.cellfile.error import CellFileError
+from coopqp.files.cellfile.explain import explain
 from coopqp.files.cellfile.paths import resolve
-from coopqp.files.cellfile.schema import ArmTable
+from coopqp.files.cellfile.renamed import renewed
+from coopqp.files.cellfile.schema import ArmTable, CellFile
+from coopqp.forces.calibration import Calibration
+from coopqp.planning.planner import Plan
 
 
 def relative(path: Path, into: Path) -> str:
@@ -55,21 +64,23 @@ def toml_lines(tables: Mapping[str, Any], place: str = "") -> Iterator[str]:
         if isinstance(value, Mapping) or (isinstance(value, list) and value and isinstance(value[0], Mapping)):
             inner[key] = value
         else:
-            yield f"{_key(key)} = {_value(value)}"
+            yield f"{toml_key(key)} = {toml_value(value)}"
     for key, value in inner.items():
-        name = f"{place}.{_key(key)}" if place else _key(key)
+        name = f"{place}.{toml_key(key)}" if place else toml_key(key)
         for table in value if isinstance(value, list) else [value]:
             yield ""
             yield f"[[{name}]]" if isinstance(value, list) else f"[{name}]"
             yield from toml_lines(table, name)
 
 
-def _key(key: str) -> str:
+def toml_key(key: str) -> str:
+    """A key in TOML, in quotes where it needs them."""
     plain = key.isascii() and key.replace("_", "").replace("-", "").isalnum()
     return key if plain else json.dumps(key)
 
 
-def _value(value: Any) -> str:
+def toml_value(value: Any) -> str:
+    """A value in TOML."""
     if isinstance(value, bool):
         return str(value).lower()
     if isinstance(value, float):
@@ -77,7 +88,7 @@ def _value(value: Any) -> str:
     if isinstance(value, int):
         return str(value)
     if isinstance(value, (list, tuple)):
-        texts = [_value(item) for item in value]
+        texts = [toml_value(item) for item in value]
         if sum(map(len, texts)) < 100:
             return f"[{', '.join(texts)}]"
         return "[\n" + "".join(f"  {text},\n" for text in _rows(texts)) + "]"
@@ -94,3 +105,104 @@ def _rows(texts: list[str]) -> Iterator[str]:
         else:
             row = f"{row}, {text}" if row else text
     yield row
+
+
+def planned_text(run: CellRun, plan: Plan, *, folder: Path, into: Path) -> str:
+    """The plan as a cell file in TOML. It reads back to the same numbers, bit for bit.
+
+    Args:
+        run: the run of the cell file that was planned for.
+        plan: start and path.
+        folder: folder of that file.
+        into: folder of the new file.
+    """
+    tables = run.settings.model_dump(exclude_none=True, exclude_unset=True)
+    cell = run.scenario.cell
+    move_files(tables["arms"], run.settings.arms, folder, into)
+    record = plan.path.record()
+    tables["path"] = {
+        "kind": "timed",
+        **({} if record["planned_share"] is None else {"planned_share": record["planned_share"]}),
+        "pieces": record["pieces"],
+        "s_m": record["s"],
+        "squares": record["squares"],
+        **({"keeps_clear": True} if record["keeps_clear"] else {}),
+        "binding": record["binding"],
+    }
+    if (elbows := record["elbows"]) is not None:
+        tables["path"]["elbows"] = {name: elbows[own] for name, own in ELBOWS.items()}
+    x = cell.positions(plan.q_start)
+    positions = {name: x[own].tolist() for name, own in zip(cell.arm_names, cell.v_slices, strict=True)}
+    tables["start"] = {"positions_rad": positions, "inverse_kinematics": False}
+    if tables.pop("steps", None) is not None or run.scenario.dt != DEFAULT_DT:
+        tables["dt_s"] = run.scenario.dt
+    head = f"{plan.path.duration:.4g} s from rest to rest, planned by coopqp. Its time law is in the table [path]."
+    return file_text([head], tables)
+
+
+def settings_of(metadata: Mapping[str, Any], given: Path | None) -> tuple[CellFile, Path | None]:
+    """The cell file of a recording, and its folder; None for a file whose folder the recording does not know.
+
+    Args:
+        metadata: metadata of the recording.
+        given: the cell file, for a recording that has none.
+
+    Raises:
+        CellFileError: the file does not exist or is no cell file, or there is none.
+    """
+    if given is not None:
+        return read(given), given.parent
+    tables = metadata.get("settings")
+    if not isinstance(tables, Mapping):
+        raise CellFileError(
+            "the recording is not one of a cell file, so there is none to correct. Give it with --cell."
+        )
+    try:
+        return CellFile.model_validate(renewed(tables, "the recording")), None
+    except ValidationError as error:
+        raise CellFileError(f"the recording's cell file is damaged: {explain(error)}") from error
+
+
+def calibrated_text(
+    settings: CellFile, calibration: Calibration, *, sources: list[str], folder: Path | None, into: Path
+) -> str:
+    """The corrected cell file in TOML. Its numbers read back bit for bit; its start is corrected when it is read.
+
+    Args:
+        settings: the cell file of the run.
+        calibration: the bases and grips that were found.
+        sources: file of each arm's model, for paths whose folder is not known.
+        folder: folder of the run's file, or None.
+        into: folder of the new file.
+
+    Raises:
+        CellFileError: the file has other arms than the calibration.
+    """
+    cell = calibration.cell
+    if tuple(arm.name for arm in settings.arms) != cell.arm_names:
+        raise CellFileError(f"the cell file has other arms than the recording: {', '.join(cell.arm_names)} are needed.")
+    tables = settings.model_dump(exclude_none=True, exclude_unset=True)
+    for table, arm, source in zip(tables["arms"], cell.arms, sources, strict=True):
+        table["base"] = {"matrix": _matrix(arm.T_world_base)}
+        if folder is None:
+            table |= {key: relative(Path(source), into) for key in ("urdf", "mjcf") if key in table}
+    if folder is not None:
+        move_files(tables["arms"], settings.arms, folder, into)
+    tools = zip(cell.arm_names, calibration.grasp.T_object_tool, strict=True)
+    tables["grasp"] = {"kind": "tools", "tools": {name: {"matrix": _matrix(X)} for name, X in tools}}
+    if tables.get("start", {}).get("inverse_kinematics") is False:
+        tables["start"]["inverse_kinematics"] = True  # the old start does not fit the corrected bases
+    same = [found.arm for found in calibration.corrections if not found.significant]
+    before, after = 1e3 * calibration.before[:, 0].max(), 1e3 * calibration.after[:, 0].max()
+    head = [
+        f"Bases and grips calibrated by coopqp from {len(calibration.samples)} configurations of a gripped run:",
+        f"the arms part by {after:.3g} mm instead of {before:.3g} mm. The base and the grip of "
+        f"{cell.arm_names[0]} are the reference.",
+        *(f"kept, its correction is no more than its uncertainty: {arm}" for arm in same),
+        *(f"not determined, kept: {name}" for name in calibration.undetermined),
+    ]
+    return file_text(head, tables)
+
+
+def _matrix(T: pin.SE3) -> list[list[float]]:
+    return T.homogeneous.tolist()

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import functools
 import math
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, fields
 from typing import Annotated, Any
 
 import numpy as np
+import numpy.typing as npt
 import pinocchio as pin
 
 from coopqp.checks import Doc, as_options, documented, keep_scalars
@@ -227,41 +229,43 @@ def _blame(recording: Recording, first: int, last: int) -> str:
 
 def _positions(cell: RobotCell, recording: Recording) -> Finding:
     question = "Are the joints inside their positions?"
-    closest = np.min([_within_limits(cell, recording, part).min(axis=0) for part in _samples(recording)], axis=0)
-    j = int(closest.argmin())
-    margin = float(closest[j])
+    parts = recording.parts(len(recording.time))
+    none = np.full(cell.nv, -np.inf)
+    outside, since = _largest(parts, lambda part: -_within_limits(cell, recording, part), POSITION_ROUNDING, none)
+    j = int(outside.argmax())
+    margin, name, at = -float(outside[j]), cell.joint_names[j], _at(recording, max(int(since[j]), 0))
     if not np.isfinite(margin):
-        wrong = _first_in(_samples(recording), lambda part: ~np.isfinite(recording.q_command[part]).all(axis=1))
-        cause = "" if wrong is None else f"not finite since {_at(recording, wrong)}"
-        return Finding(question, wrong is None, "no joint has a limit", cause)
-    unit, name = _amount(cell, j, abs(margin)), cell.joint_names[j]
+        bad = bool(since[j] >= 0)
+        return Finding(question, not bad, "no joint has a limit", f"not finite since {at}" if bad else "")
+    unit = _amount(cell, j, abs(margin))
     if margin < -POSITION_ROUNDING:
-        outside = _first_in(
-            _samples(recording), lambda part: _within_limits(cell, recording, part)[:, j] < -POSITION_ROUNDING
-        )
-        since = _at(recording, outside or 0)
-        return Finding(question, False, f"{name} is {unit} outside", f"{_joint(cell, j)}: position, since {since}")
+        return Finding(question, False, f"{name} is {unit} outside", f"{_joint(cell, j)}: position, since {at}")
     return Finding(question, True, f"closest: {name}, {unit} inside")
 
 
-def _samples(recording: Recording) -> Iterator[slice]:
-    return recording.parts(len(recording.time))
+def _largest(
+    parts: Iterable[slice], values: Callable[[slice], Array], allowed: float, least: Array
+) -> tuple[Array, npt.NDArray[np.intp]]:
+    """The largest value of each joint (nv,) over all rows, and the first row with one that is not allowed; −1 for none.
 
-
-def _first_in(parts: Iterable[slice], bad: Callable[[slice], Any]) -> int | None:
-    """The first row for which ``bad(part)`` is True; None if it is False for all."""
+    Args:
+        parts: the rows; ``values(part)`` has some of them (T, nv). NaN is not allowed, and counts as the largest.
+        allowed: largest value that is allowed.
+        least: what the largest is without rows (nv,).
+    """
+    largest, first = least, np.full(len(least), -1)
     for part in parts:
-        found = bad(part)
-        if found.any():
-            return int(part.start) + _first(found)
-    return None
+        rows = values(part)
+        bad = ~(rows <= allowed)
+        largest = np.maximum(largest, rows.max(axis=0))
+        first = np.where((first < 0) & bad.any(axis=0), part.start + bad.argmax(axis=0), first)
+    return largest, first
 
 
 def _within_limits(cell: RobotCell, recording: Recording, part: slice) -> Array:
     """Distance of the commanded joints from the nearer position limit (T, nv) [rad or m]; inf without limit."""
     q = cell.positions(recording.q_command[part])
-    distance: Array = np.minimum(q - cell.limits.lower, cell.limits.upper - q)
-    return distance
+    return np.minimum(q - cell.limits.lower, cell.limits.upper - q)
 
 
 def _rates(cell: RobotCell, recording: Recording) -> Finding:
@@ -274,25 +278,18 @@ def _rates(cell: RobotCell, recording: Recording) -> Finding:
         if not np.isfinite(limit).any():
             texts.append(f"no limit of {name}")
             continue
-        steps = recording.n_steps
-        largest = np.max(
-            [share(cell, recording, part).max(axis=0) for part in recording.parts(steps)] or [np.zeros(cell.nv)], axis=0
-        )
+        shares = functools.partial(share, cell, recording)
+        largest, since = _largest(recording.parts(recording.n_steps), shares, 1.0 + RATE_ROUNDING, np.zeros(cell.nv))
         j = int(largest.argmax())
         texts.append(f"{name} ≤ {100.0 * largest[j]:.4g} % of the limit ({cell.joint_names[j]})")
-        if not largest[j] <= 1.0 + RATE_ROUNDING:
-            fast = _first_in(
-                recording.parts(steps),
-                lambda part: ~(share(cell, recording, part)[:, j] <= 1.0 + RATE_ROUNDING),  # noqa: B023
-            )
-            causes.append(f"{_joint(cell, j)}: {kind}, since {_at(recording, fast or 0)}")
+        if since[j] >= 0:
+            causes.append(f"{_joint(cell, j)}: {kind}, since {_at(recording, int(since[j]))}")
     return Finding(question, not causes, "; ".join(texts), "; ".join(causes))
 
 
 def _speed(cell: RobotCell, recording: Recording, part: slice) -> Array:
     """Joint speeds of steps as shares of their limits (T, nv)."""
-    share: Array = np.abs(recording.velocity[part]) / cell.limits.velocity
-    return share
+    return np.abs(recording.velocity[part]) / cell.limits.velocity
 
 
 def _acceleration(cell: RobotCell, recording: Recording, part: slice) -> Array:
@@ -300,8 +297,7 @@ def _acceleration(cell: RobotCell, recording: Recording, part: slice) -> Array:
     v = recording.velocity[part]
     before = np.vstack([recording.velocity[part.start - 1] if part.start else np.zeros(cell.nv), v[:-1]])
     dt = np.diff(recording.time[part.start : part.stop + 1])[:, None]
-    share: Array = np.abs(v - before) / dt / cell.limits.acceleration
-    return share
+    return np.abs(v - before) / dt / cell.limits.acceleration
 
 
 def _held(
@@ -316,7 +312,7 @@ def _held(
     bad = ~((errors[0] <= largest[0]) & (errors[1] <= largest[1]))
     if not bad.any():
         return Finding(question, True, text)
-    first = _first(bad)
+    first = int(bad.argmax())
     return Finding(question, False, text, f"{where(first)}, beyond the tolerance since {_at(recording, first)}")
 
 
@@ -325,11 +321,6 @@ def _within(a: float, of_a: str, b: float, of_b: str) -> str:
     both = f"within {one}" if not one.startswith("below") else one
     joined = not other.startswith("below") and both == one  # each has its own word
     return f"{both} and {'within ' if joined else ''}{other}"
-
-
-def _first(bad: Any) -> int:
-    """Index of the first True."""
-    return int(np.flatnonzero(bad)[0])
 
 
 def _joint(cell: RobotCell, j: int) -> str:

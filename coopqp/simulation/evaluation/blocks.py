@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import TypeAlias
 
@@ -40,8 +41,7 @@ def sound_steps(r: Recording, part: slice) -> Flags:
     samples = slice(part.start, part.stop + 1)
     sound = np.isfinite(r.q_command[samples]).all(axis=1) & np.isfinite(r.clock[samples])
     sound &= np.isfinite(r.time[samples])
-    steps: Flags = sound[:-1] & sound[1:] & np.isfinite(r.velocity[part]).all(axis=1) & np.isfinite(r.rate[part])
-    return steps
+    return sound[:-1] & sound[1:] & np.isfinite(r.velocity[part]).all(axis=1) & np.isfinite(r.rate[part])
 
 
 def recorded_block(r: Recording, start: int, end: int, *, goes_on: bool) -> Block:
@@ -80,7 +80,7 @@ def faults_of(step: ControlStep, cell: RobotCell, number: int, now: float) -> li
         value = getattr(step, name)
         if not isinstance(value, float):
             faults.append(Violation(ViolationKind.FORM, number, now, detail=f"{name} is no float"))
-        elif not np.isfinite(value):
+        elif not math.isfinite(value):
             faults.append(Violation(ViolationKind.NOT_FINITE, number, now, amount=np.nan, detail=name))
     if not isinstance(step.status, Status) or not isinstance(step.reason, str):
         faults.append(Violation(ViolationKind.FORM, number, now, detail="status or reason"))

@@ -209,28 +209,16 @@ class Closeness:
         return [k for k in self._pairs if self._labels[k] not in names]
 
     def over_time(self, q: Array, pairs: Sequence[int] | None = None) -> Array:
-        """Least distance at each configuration (T,) [m], to within 0.1 mm from above.
+        """Least distance at each configuration (T,) [m].
 
         Args:
             q: configurations (T, nq).
             pairs: numbers of the pairs of shapes; all by default.
         """
-        placed = self._place(q)
-        out = np.full(len(q), np.inf)
+        placed, out = self._place(q), np.full(len(q), np.inf)
         for k in self._pairs if pairs is None else pairs:
-            i, j = self._ends[k]
-            away, t = self._away(placed, k), 0
-            while t < len(q):
-                if away[t] >= out[t] - 1e-4:
-                    t += 1
-                    continue
-                d = self._sampled(placed, k, t)
-                out[t] = min(out[t], d)
-                # No distance is needed until the bodies may be as close as the closest pair.
-                way = placed.way[t:, i] + placed.way[t:, j] - placed.way[t, i] - placed.way[t, j]
-                closer = np.flatnonzero(d - _BENT * way < out[t:] - 1e-4)
-                later = closer[closer > 0]
-                t = t + int(later[0]) if later.size else len(q)
+            for t in np.flatnonzero(self._away(placed, k) < out).tolist():
+                out[t] = min(out[t], self._sampled(placed, k, t))
         return out
 
     def _less(self, k: int, to_margin: bool) -> float:
@@ -239,8 +227,7 @@ class Closeness:
     def _away(self, placed: _Placed, k: int) -> Array:
         """Lower bound of the distance of a pair at each sample (T,) [m], by spheres about both bodies' origins."""
         i, j = self._ends[k]
-        out: Array = np.linalg.norm(placed.p[:, i] - placed.p[:, j], axis=1) - self._extent[i] - self._extent[j]
-        return out
+        return np.linalg.norm(placed.p[:, i] - placed.p[:, j], axis=1) - self._extent[i] - self._extent[j]
 
     def _way(self, placed: _Placed, k: int, first: int, end: int) -> float:
         """Largest motion of the two bodies of a pair against each other between two samples [m]."""

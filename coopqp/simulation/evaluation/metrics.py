@@ -121,8 +121,7 @@ def _angles(R: Array) -> Array:
     """Angles (…) of rotations (…, 3, 3) [rad], accurate near 0 and π."""
     x, y, z = R[..., 2, 1] - R[..., 1, 2], R[..., 0, 2] - R[..., 2, 0], R[..., 1, 0] - R[..., 0, 1]
     trace = R[..., 0, 0] + R[..., 1, 1] + R[..., 2, 2]
-    out: Array = np.arctan2(0.5 * np.sqrt(x * x + y * y + z * z), 0.5 * (trace - 1.0))
-    return out
+    return np.arctan2(0.5 * np.sqrt(x * x + y * y + z * z), 0.5 * (trace - 1.0))
 
 
 def _apart(A: Array, B: Array) -> tuple[Array, Array]:
@@ -136,8 +135,7 @@ def _positions(T: Array) -> Array:
     """Positions (…, P, 3) of tool j in the frame of tool i < j, for all pairs."""
     (i, j), p = _pairs(T.shape[-3]), T[..., :3, 3]
     apart = p[..., j, :] - p[..., i, :]
-    out: Array = (apart[..., None, :] @ T[..., i, :3, :3])[..., 0, :]
-    return out
+    return (apart[..., None, :] @ T[..., i, :3, :3])[..., 0, :]
 
 
 @np.errstate(invalid="ignore")  # infinite positions have no difference
@@ -147,22 +145,19 @@ def without_shift(tools: Array, grasp: Grasp, shift: Array | None) -> Array:
         return tools
     back = np.array([[pin.exp6(-d).homogeneous for d in row] for row in shift]).reshape(tools.shape)
     X = _matrices(grasp.T_object_tool)
-    out: Array = tools @ np.linalg.inv(X) @ back @ X
-    return out
+    return tools @ np.linalg.inv(X) @ back @ X
 
 
 def positioning_errors(tools: Array, grasp: Grasp) -> Array:
     """ε_p (…) [m], see :func:`relative_positioning_error`."""
     off = _positions(tools) - _positions(_matrices(grasp.T_object_tool))
-    out: Array = np.sqrt((off * off).sum(axis=(-2, -1)))
-    return out
+    return np.sqrt((off * off).sum(axis=(-2, -1)))
 
 
 @np.errstate(invalid="ignore")
 def object_poses(tools: Array, grasp: Grasp) -> Array:
     """Object pose of each arm (…, N, 4, 4)."""
-    out: Array = tools @ _matrices([X.inverse() for X in grasp.T_object_tool])
-    return out
+    return tools @ _matrices([X.inverse() for X in grasp.T_object_tool])
 
 
 @np.errstate(invalid="ignore")
@@ -184,8 +179,7 @@ def orientation_errors(angles: Array) -> Array:
     With R_ij = R_iᵀ R_j of two tools and X_ij of their grasps, X_ijᵀ R_ij is as far from 1 as X_i R_ij X_jᵀ, which
     turns one arm's object pose into the other's.
     """
-    out: Array = np.sqrt((angles * angles).sum(axis=-1))
-    return out
+    return np.sqrt((angles * angles).sum(axis=-1))
 
 
 def chain_errors(tools: Array, grasp: Grasp) -> tuple[Array, Array]:

@@ -13,7 +13,7 @@ from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from types import MappingProxyType
-from typing import Any, TypeAlias, final
+from typing import Any, final
 
 import numpy as np
 
@@ -41,11 +41,6 @@ COMMANDED = Tolerances(chain_deg=math.degrees(1e-3), object_deg=math.degrees(1e-
 POSITION, VELOCITY, ACCELERATION, SAME, MARGIN = 1e-9, 1e-9, 1e-6, 1e-9, 1e-6
 #: Accepted braking time of all arms together along a curved path, as a multiple of the slowest joint's braking time.
 _BRAKING_SLACK = 1.1
-
-
-#: q, q_next, velocity, dt, clock, clock_next, rate, status and path of a step, the step, and the shift of the grasps.
-_Row: TypeAlias = tuple[Array, Array, Array, float, float, float, float, Status, ObjectPath, ControlStep, Array | None]
-_FLOAT = np.dtype(np.float64)
 
 
 @final
@@ -85,7 +80,6 @@ class Monitor:
         if tolerances is None or isinstance(tolerances, Mapping):
             self.tolerances = replace(COMMANDED, **(tolerances or {}))
         self._keep, self._kinematics = keep, kinematics
-        self._shape_q, self._shape_v = (cell.nq,), (cell.nv,)
         self._second = np.triu_indices(len(cell), 1)[1]  # of each pair of two arms
         limits = cell.limits
         self._lower, self._upper = np.array(limits.lower), np.array(limits.upper)
@@ -149,17 +143,15 @@ class Monitor:
         """
         if shifts is not None:
             self._check_shifts(shifts, len(steps))
-        before = len(self._violations)
-        formed: list[_Row] = []
-        for i, step in enumerate(steps):
-            row = self._read(step, None if shifts is None else shifts[i])
-            if row is not None:
-                formed.append(row)
-            else:
-                self._check_rows(formed)
+        before, formed = len(self._violations), 0
+        for i, step in enumerate([*steps, None]):
+            if step is not None and not faults_of(step, self.cell, 0, 0.0):
+                continue
+            if i > formed:
+                self._check(self._block(steps[formed:i], None if shifts is None else shifts[formed:i]))
+            if step is not None:
                 self._refuse(step)
-                formed = []
-        self._check_rows(formed)
+            formed = i + 1
         return tuple(self._violations[before:])
 
     def _check_shifts(self, shifts: Sequence[Array], steps: int) -> None:
@@ -186,23 +178,6 @@ class Monitor:
         if len(self._violations) < self._keep:
             self._violations.append(violation)
 
-    def _read(self, step: ControlStep, shift: Array | None) -> _Row | None:
-        """The values of a step; None if shapes or types are wrong. Numbers may be NaN or infinite."""
-        q, q_next, velocity, status = step.q, step.q_next, step.velocity, step.status
-        dt, clock, clock_next, rate = step.dt, step.clock, step.clock_next, step.rate
-        formed = (
-            type(q) is type(q_next) is type(velocity) is np.ndarray
-            and q.dtype is q_next.dtype is velocity.dtype is _FLOAT
-            and q.shape == q_next.shape == self._shape_q
-            and velocity.shape == self._shape_v
-            and type(dt) is type(clock) is type(clock_next) is type(rate) is float
-            and isinstance(status, Status)
-            and isinstance(step.reason, str)
-        )
-        if not formed and faults_of(step, self.cell, self._steps, self._time):
-            return None
-        return q, q_next, velocity, dt, clock, clock_next, rate, status, step.path, step, shift
-
     def _refuse(self, step: ControlStep) -> None:
         """Count the faults of a step. It is checked no further, and the next one is not compared with it."""
         for fault in faults_of(step, self.cell, self._steps, self._time):
@@ -215,42 +190,23 @@ class Monitor:
         self._last_q, self._last_path = None, None
         self._last_v, self._held = np.full(self.cell.nv, np.nan), 0.0
 
-    def _check_rows(self, rows: Sequence[_Row]) -> None:
-        if not rows:
-            return
-        q, q_next, velocity, dt, clock, clock_next, rate, status, own, steps, shifts = zip(*rows, strict=True)
-        arrays = [np.concatenate(values).reshape(len(rows), -1) for values in (q, q_next, velocity)]
-        numbers = np.array([dt, clock, clock_next, rate])
-        sound = np.isfinite(numbers).all(axis=0)
-        for values in arrays:
-            sound &= np.isfinite(values).all(axis=1)
-        if not sound.all():
-            for good, run in itertools.groupby(range(len(rows)), sound.__getitem__):
-                if good:
-                    self._check_rows([rows[i] for i in run])
-                    continue
-                for i in run:
-                    self._refuse(steps[i])
-            return
-        paths = own if self.path is None else (self.path,) * len(rows)
-        before = (self._last_path, *paths[:-1])
-        self._last_path = paths[-1]
-        poses = [p.pose(c).homogeneous for p, c in zip(paths, clock_next, strict=True)] if self._kinematics else []
-        block = Block(
-            q=arrays[0],
-            q_next=arrays[1],
-            velocity=arrays[2],
-            dt=numbers[0],
-            clock=numbers[1],
-            clock_next=numbers[2],
-            rate=numbers[3],
-            holding=np.array([s is Status.HOLDING or s is Status.FAULT for s in status]),
+    def _block(self, steps: Sequence[ControlStep], shifts: Sequence[Array] | None) -> Block:
+        """Consecutive sound steps as arrays."""
+        paths = [step.path if self.path is None else self.path for step in steps]
+        before, self._last_path = [self._last_path, *paths[:-1]], paths[-1]
+        numbers = {
+            name: np.array([getattr(step, name) for step in steps])
+            for name in ("q", "q_next", "velocity", "dt", "clock", "clock_next", "rate")
+        }
+        ends = zip(paths, numbers["clock_next"].tolist(), strict=True)
+        return Block(
+            **numbers,
+            holding=np.array([step.status in (Status.HOLDING, Status.FAULT) for step in steps]),
             same_path=np.array([a is b for a, b in zip(before, paths, strict=True)]),
-            reference=np.array(poses),
-            duration=np.array([p.duration for p in paths]),
-            shift=None if shifts[0] is None else np.array(shifts),
+            reference=np.array([p.pose(clock).homogeneous for p, clock in ends] if self._kinematics else []),
+            duration=np.array([path.duration for path in paths]),
+            shift=None if shifts is None else np.array(shifts),
         )
-        self._check(block)
 
     def check_recorded(self, recording: Recording) -> Verdict:
         """Check a run; see :func:`check_run`."""

@@ -43,8 +43,7 @@ class Monitored:
     @property
     def shift(self) -> Array:
         """Motion by which each grasp has given way (N, 6) [m, rad], for a controller with such a motion."""
-        shift: Array = self._inner.shift
-        return shift
+        return self._inner.shift
 
     def reset(self, q: ArrayLike) -> None:
         """Reset the controller. The monitor keeps its violations."""

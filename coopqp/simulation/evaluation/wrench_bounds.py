@@ -96,8 +96,7 @@ def _internal(grasp: Grasp, wrenches: Array) -> Array:
     metric = np.tile([1.0] * 3 + [_TORQUE**2] * 3, len(grasp))
     maps = np.hstack([X.actionInverse.T for X in grasp.T_object_tool])
     carry = np.linalg.solve((maps / metric) @ maps.T, maps @ wrenches.ravel())
-    out: Array = wrenches - (maps.T @ carry / metric).reshape(-1, 6)
-    return out
+    return wrenches - (maps.T @ carry / metric).reshape(-1, 6)
 
 
 def _used(palm: Grip, wrench: Array) -> float:

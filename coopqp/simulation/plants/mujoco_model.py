@@ -18,7 +18,8 @@ from coopqp.forces.grips import Grip
 from coopqp.lazy import needed
 from coopqp.model.cell import Arm, RobotCell
 from coopqp.model.grasp import Grasp
-from coopqp.simulation.plants.physics_options import PhysicsOptions, Servos, joint_axes
+from coopqp.model.links import joint_axes
+from coopqp.simulation.plants.physics_options import PhysicsOptions, Servos
 from coopqp.spatial import Array
 
 OBJECT, STAND = "object", "stand"

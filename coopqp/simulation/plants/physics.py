@@ -25,14 +25,13 @@ from coopqp.model.grasp import Grasp
 from coopqp.paths.path import TimeLaw
 from coopqp.simulation.plants.disturbances import Disturbances
 from coopqp.simulation.plants.drives import TorqueDrives
-from coopqp.simulation.plants.encoders import Encoders
 from coopqp.simulation.plants.load_feed_forward import LoadFeedForward
 from coopqp.simulation.plants.mujoco_cell import MujocoCell
 from coopqp.simulation.plants.mujoco_model import build_spec, require_mujoco
 from coopqp.simulation.plants.palms import Palms, as_palms
 from coopqp.simulation.plants.physics_options import PhysicsOptions
+from coopqp.simulation.plants.sensors import Encoders, WrenchSensors
 from coopqp.simulation.plants.targets import JointTargets
-from coopqp.simulation.plants.wrench_sensors import WrenchSensors
 from coopqp.spatial import Array, Placement, as_placement
 
 if TYPE_CHECKING:
@@ -61,7 +60,7 @@ class PhysicsPlant:
         real_grasp: real placements of the tools on the object, if they differ from ``grasp``
             (:func:`coopqp.simulation.plants.disturbances.misplaced`).
         options: settings of the servos and the engine.
-        disturbances: as in :class:`coopqp.simulation.plants.disturbed.DisturbedPlant`; lag and stall act on the
+        disturbances: as in :class:`coopqp.simulation.plants.kinematic.DisturbedPlant`; lag and stall act on the
             targets of the servos, base offsets on the bases in the engine.
         load: load sharing whose torques the drives feed forward for the motion as commanded, with the arms' own
             dynamics, in place of the object's weight alone.
@@ -165,28 +164,15 @@ class PhysicsPlant:
         self._limited = np.zeros(cell.nv, dtype=bool)
 
     @staticmethod
-    def of(
-        scenario: Scenario,
-        *,
-        real_grasp: Grasp | None = None,
-        options: PhysicsOptions | Mapping[str, Any] | None = None,
-        disturbances: Disturbances | None = None,
-        load: LoadShare | None = None,
-        palms: Sequence[Grip] | None = None,
-    ) -> PhysicsPlant:
-        """Build the plant of a scenario from its cell, grasp and object."""
-        return PhysicsPlant(
-            scenario.cell,
-            scenario.grasp,
-            object_size=scenario.object_size,
-            object_mass=scenario.object_mass,
-            T_object_body=scenario.T_object_body,
-            real_grasp=real_grasp,
-            options=options,
-            disturbances=disturbances,
-            load=load,
-            palms=palms,
-        )
+    def of(scenario: Scenario, **more: Any) -> PhysicsPlant:
+        """Build the plant of a scenario from its cell, grasp and object.
+
+        Args:
+            scenario: whose they are.
+            more: further arguments, or others in place of the scenario's.
+        """
+        given = {name: getattr(scenario, name) for name in ("object_size", "object_mass", "T_object_body")}
+        return PhysicsPlant(scenario.cell, scenario.grasp, **{**given, **more})
 
     # -- the plant -----------------------------------------------------------------------------------------------
 
@@ -278,7 +264,7 @@ class PhysicsPlant:
         """Wrench of each arm on the object (N, 6) [N, N·m], at the origin and in the axes of the object frame.
 
         The values come from the weld constraints; they are zero for an open grip. See
-        :func:`coopqp.forces.stress.at_tools`.
+        :func:`coopqp.forces.internal.at_tools`.
         """
         if self.palms is None:
             return self._engine.weld_wrenches()

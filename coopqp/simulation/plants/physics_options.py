@@ -11,6 +11,7 @@ import pinocchio as pin
 from coopqp.checks import Doc, as_count, as_vector, documented, keep_scalars, one_each, read_only
 from coopqp.errors import InvalidInputError, UnknownNameError
 from coopqp.model.cell import RobotCell
+from coopqp.model.links import joint_axes
 from coopqp.planning.payload import Payload
 from coopqp.spatial import Array
 
@@ -226,17 +227,6 @@ class Servos:
     stiffness: Array
     damping: Array
     armature: Array
-
-
-def joint_axes(model: pin.Model) -> Array:
-    """Unit twist of each joint in its own frame (nv, 6): [axis; 0] if prismatic, [0; axis] if revolute."""
-    data = model.createData()
-    pin.computeJointJacobians(model, data, pin.neutral(model))
-    out = np.empty((model.nv, 6))
-    for i in range(1, model.njoints):
-        column = model.joints[i].idx_v
-        out[column] = np.asarray(pin.getJointJacobian(model, data, i, pin.LOCAL)).reshape(6, -1)[:, column]
-    return out
 
 
 def _default_servos(model: pin.Model) -> Array:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import tokenize
 import zipfile
 import zlib
 from collections.abc import Iterator, Sequence
@@ -147,8 +148,7 @@ class Recording(Shown):
         """By how much the grasps had given way at samples (M, N, 6), for a command at each; None as :attr:`shift`."""
         if self.shift is None or not self.n_steps:
             return None
-        at: Array = self.shift[np.maximum(np.arange(samples.start, samples.stop) - 1, 0)]
-        return at
+        return self.shift[np.maximum(np.arange(samples.start, samples.stop) - 1, 0)]
 
     def _arrays(self) -> dict[str, Array]:
         """The arrays of this run, by name."""
@@ -244,6 +244,7 @@ _UNREADABLE = (
     OSError,
     zipfile.BadZipFile,
     zlib.error,
+    tokenize.TokenError,  # NumPy, of a header that does not parse
     KeyError,
     ValueError,
     TypeError,

@@ -135,8 +135,7 @@ def _axis(joint: Any) -> list[float]:
     data = joint.createData()
     joint.calc(data, np.array([1.0, 0.0])[: joint.nq])
     subspace = np.asarray(data.S, dtype=float).reshape(6)
-    axis: list[float] = (subspace[:3] + subspace[3:]).tolist()
-    return axis
+    return (subspace[:3] + subspace[3:]).tolist()
 
 
 def describe_shape(shape: Any) -> dict[str, Any]:
@@ -168,8 +167,7 @@ def _triangles(vertices: Any, triangles: Iterable[Any]) -> dict[str, str]:
 
 
 def _matrix(T: pin.SE3) -> list[list[float]]:
-    rows: list[list[float]] = np.asarray(T.homogeneous, dtype=float).tolist()
-    return rows
+    return np.asarray(T.homogeneous, dtype=float).tolist()
 
 
 def _packed(array: Any) -> str:
