@@ -14,7 +14,7 @@ import common  # noqa: F401  # first: it limits BLAS to one thread
 import numpy as np
 
 from coopqp import QPController
-from coopqp.control.monitoring.stall_bound import StallBound
+from coopqp.control import StallBound
 from coopqp.drivers import ControlLoop, EngineCell, LoopReport, ManualTime, SimulatedRobot
 from coopqp.drivers.command_spline import CommandSpline
 from coopqp.drivers.limited_clock import LimitedClock

@@ -68,6 +68,7 @@ PROGRAMS: Mapping[str, tuple[str, ...]] = {
     "python docs/examples/28_place_the_bases.py --out {out}": ("docs/howto/h_and_b.png",),
     "python docs/examples/29_palms.py --out {out}": ("docs/howto/palms.png",),
     "python docs/examples/30_torque_drives.py --out {out}": ("docs/howto/torque_drives.png",),
+    "python docs/examples/31_slowest_arm.py --out {out}": ("docs/howto/drive.png",),
 }
 #: Programs of this kind need Chromium (`make browser`).
 NEEDS_BROWSER = "docs/screenshots.py"

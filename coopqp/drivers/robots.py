@@ -124,6 +124,8 @@ def refusals(controller: Any, robots: tuple[Robot, ...], *, period: float, tells
             "a position servo tells no target, and nothing is told of its stiffness: a rigid grip would hide an arm "
             "that stops. Give SupervisionOptions(stiffness=…)."
         )
+    if getattr(getattr(getattr(inner, "options", None), "supervision", None), "servo_delay", 0.0) > 0.0:
+        said.append("SupervisionOptions: servo_delay is told: the loop itself aligns measurements. Leave it at 0.")
     for robot in robots:
         if robot.driver.period > LONGEST_PERIOD:
             said.append(f"robot '{robot.name}' tells its state every {1e3 * robot.driver.period:g} ms: 20 ms at most.")

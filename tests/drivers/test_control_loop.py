@@ -9,7 +9,7 @@ import pytest
 from robots import drive, joints_of, simulated_robots
 
 from coopqp import InvalidInputError, QPController, SupervisionOptions
-from coopqp.control.monitoring.stall_bound import StallBound
+from coopqp.control import StallBound
 from coopqp.drivers import (
     Condition,
     ControlLoop,
@@ -229,10 +229,10 @@ def test_cells_without_acceleration_limits_are_refused(lift):
 def test_blind_position_servos_are_refused_unless_their_stiffness_is_told(cell, lift):
     loop, _ = _loop(cell, lift, tells_target=False)
     assert any("stiffness" in line for line in loop.refused())
-    told, _ = _loop(
-        cell, lift, tells_target=False, options={"supervision": SupervisionOptions(stiffness=1e5, servo_delay=0.006)}
-    )
+    told, _ = _loop(cell, lift, tells_target=False, options={"supervision": SupervisionOptions(stiffness=1e5)})
     assert told.refused() == []
+    late, _ = _loop(cell, lift, options={"supervision": SupervisionOptions(stiffness=1e5, servo_delay=0.006)})
+    assert any("servo_delay" in line for line in late.refused())
 
 
 def test_a_first_command_far_from_the_servos_is_refused(cell, lift):
@@ -248,7 +248,7 @@ def test_a_first_command_far_from_the_servos_is_refused(cell, lift):
         robots["master"].read = sagged
         robots["slave_1"]._tells = False
 
-    options = {"supervision": SupervisionOptions(stiffness=1e5, servo_delay=0.006)}
+    options = {"supervision": SupervisionOptions(stiffness=1e5)}
     loop, _ = _loop(cell, lift, sag, options)
     with pytest.raises(DriverError, match=r"master/.* is 6\.0 mrad"):
         loop.run()
