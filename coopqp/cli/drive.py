@@ -122,16 +122,18 @@ def _print_states(run: CellRun, loop: ControlLoop) -> None:
 
     import numpy as np
 
+    from coopqp.drivers.timing import MonotonicTime
+
     cell = run.scenario.cell
     start = cell.positions(run.scenario.q_start)
     ages: dict[str, list[float]] = {watch.robot.name: [] for watch in loop.watches}
     first = {watch.robot.name: watch.received for watch in loop.watches}
     began = time.monotonic()
+    clock = MonotonicTime()
     while time.monotonic() < began + _READING:
-        now = time.monotonic()
         for watch in loop.watches:
-            watch.read(now)
-            ages[watch.robot.name].append(watch.age(now))
+            watch.read(clock)
+            ages[watch.robot.name].append(watch.age(clock.now()))
         time.sleep(loop.period)
     lines = [["robot", "states [1/s]", "age [ms]", "offset [s]", "lag [ms]", "from the start [mrad]", "says"]]
     for watch in loop.watches:

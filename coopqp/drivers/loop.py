@@ -286,7 +286,7 @@ class ControlLoop:
         assert motion is not None
         said = np.zeros(len(self.robots), dtype=bool)
         for k, watch in enumerate(self.watches):
-            watch.read(now)
+            watch.read(self._time)
             joints = watch.robot.joints
             condition = watch.condition()
             said[k] = condition in STANDS

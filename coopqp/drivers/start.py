@@ -27,7 +27,7 @@ def connect(watches: Sequence[RobotWatch], time: LoopTime, *, longest: float, pe
     while True:
         now = time.now()
         for watch in watches:
-            watch.read(now)
+            watch.read(time)
         silent = [watch.robot.name for watch in watches if watch.state is None]
         if not silent:
             return
@@ -65,7 +65,7 @@ def stand(
         now = time.now()
         x = np.full(cell.nv, np.nan)
         for watch in watches:
-            watch.read(now)
+            watch.read(time)
             assert watch.state is not None
             joints = watch.robot.joints
             x[joints] = watch.state.q

@@ -8,7 +8,7 @@ import numpy as np
 
 from coopqp.drivers.driver import Condition, RobotState
 from coopqp.drivers.robots import Robot
-from coopqp.drivers.timing import ClockOffset
+from coopqp.drivers.timing import ClockOffset, LoopTime
 from coopqp.spatial import Array
 
 #: A state is carried on by its velocity for this time at most [s].
@@ -44,10 +44,11 @@ class RobotWatch:
         """The loop's time minus the robot's [s]."""
         return self._clock.offset
 
-    def read(self, now: float) -> None:
+    def read(self, time: LoopTime) -> None:
         """Take the newest state, if there is one."""
         self.fresh = False
         state = self.robot.driver.read()
+        now = time.now()  # after the reading: a stall between would make the state older than it is
         if state is None:
             return
         n = len(self.robot.joints)

@@ -344,6 +344,28 @@ def test_the_offset_of_a_clock_is_the_least_that_was_seen():
     np.testing.assert_allclose(found, expected, atol=1e-12)
 
 
+def test_a_stall_before_a_reading_makes_no_state_old(cell, lift):
+    """A driver that is held up for 60 ms once: its next states are not taken for old ones."""
+
+    def stall(robots, time):
+        robot, number = robots["slave_2"], [0]
+        read = robot.read
+
+        def late():
+            number[0] += 1
+            if number[0] == 100:
+                time.sleep_until(time.now() + 0.06)
+            return read()
+
+        robot.read = late
+
+    loop, _ = _loop(cell, lift, stall)
+    report = loop.run()
+    assert report.finished, report.reason
+    assert report.missing["slave_2"] <= 2
+    assert report.missed >= 25
+
+
 def test_starts_warn_as_those_of_the_controller_do(cell, lift):
     loop, _ = _loop(cell, lift)
     with pytest.warns(StiffnessWarning):

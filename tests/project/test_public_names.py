@@ -22,8 +22,8 @@ LAZY = (
     *(
         f"coopqp.{package}"
         for package in (
-            "baselines", "collision", "constraints", "control", "drivers", "files", "forces", "model", "paths", "planning",
-            "simulation", "solvers", "studies", "visualization",
+            "baselines", "collision", "constraints", "control", "drivers", "files", "forces", "model", "paths",
+            "planning", "simulation", "solvers", "studies", "visualization",
         )
     ),
 )  # fmt: skip
