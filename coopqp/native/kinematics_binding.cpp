@@ -22,12 +22,15 @@ static Arm arm_of(const In &numbers) {
     return {(int)joints, numbers.data, numbers.data + PER_JOINT * joints};
 }
 
+static Pose *poses_in(Out &numbers) { return reinterpret_cast<Pose *>(numbers.data); }
+static const Pose *poses_in(const In &numbers) { return reinterpret_cast<const Pose *>(numbers.data); }
+
 /* place(arm, q, poses, jacobians) */
 static void place_all(const In &arm, const In &q, Out &poses, Out &jacobians) {
     const Arm a = arm_of(arm);
     const Py_ssize_t count = poses.size / 12, n = a.joints;
     check_fit(poses.size == 12 * count && q.size == n * count && jacobians.size == 6 * q.size);
-    for (Py_ssize_t i = 0; i < count; i++) place(&a, q.data + i * n, poses.data + 12 * i, jacobians.data + 6 * i * n);
+    for (Py_ssize_t i = 0; i < count; i++) poses_in(poses)[i] = place(a, q.data + i * n, jacobians.data + 6 * i * n);
 }
 
 /* solve(arm, poses, q, residuals, tolerance, steps, longest, damping) */
@@ -38,39 +41,31 @@ static void solve_all(const In &arm, const In &poses, Out &q, Out &residuals, do
     check_fit(poses.size == 12 * count && q.size == n * count);
     nb::gil_scoped_release released;
     for (Py_ssize_t i = 0; i < count; i++)
-        residuals.data[i] = solve(&a, poses.data + 12 * i, q.data + i * n, tolerance, steps, longest, damping);
+        residuals.data[i] = solve(a, poses_in(poses)[i], q.data + i * n, tolerance, steps, longest, damping);
 }
 
 /* derivatives(arm, q, twists, slopes of twists, slopes, curvatures) */
 static void derivatives_all(const In &arm, const In &q, const In &twists, const In &twist_slopes, Out &slopes,
                             Out &curvatures) {
     const Arm a = arm_of(arm);
+    using Six = Eigen::Map<const Vector6>;
     const Py_ssize_t count = twists.size / 6, n = a.joints;
     check_fit(n >= 6 && twists.size == 6 * count && twist_slopes.size == twists.size && q.size == n * count &&
               slopes.size == q.size && curvatures.size == q.size);
     nb::gil_scoped_release released;
     for (Py_ssize_t i = 0, j = 0; i < count; i++, j += n)
-        derivatives(&a, q.data + j, twists.data + 6 * i, twist_slopes.data + 6 * i, slopes.data + j, curvatures.data + j);
+        derivatives(a, q.data + j, Six(twists.data + 6 * i), Six(twist_slopes.data + 6 * i), slopes.data + j,
+                    curvatures.data + j);
 }
 
 /* singular_values(matrices, rows, columns, values) */
 static void singular_values_all(const In &matrices, int rows, int columns, Out &found) {
     const int width = rows < columns ? rows : columns, length = rows < columns ? columns : rows;
     check_fit(width >= 1 && width <= MOST_VALUES && length <= MOST_ROWS);
-    const Py_ssize_t count = found.size / width, size = (Py_ssize_t)rows * columns;
-    check_fit(found.size == width * count && matrices.size == size * count);
-    SingularValues *find = fastest();
+    const Py_ssize_t count = found.size / width;
+    check_fit(found.size == width * count && matrices.size == rows * columns * count);
     nb::gil_scoped_release released;
-    for (Py_ssize_t i = 0; i < count; i += LANES) {
-        double spare[MOST_VALUES * LANES], *values[LANES];
-        const double *A[LANES];
-        for (int l = 0; l < LANES; l++) {
-            const int inside = i + l < count; /* lanes past the last matrix do it once more */
-            A[l] = matrices.data + (inside ? i + l : count - 1) * size;
-            values[l] = inside ? found.data + (i + l) * width : spare + MOST_VALUES * l;
-        }
-        find(A, rows, columns, values);
-    }
+    fastest()(matrices.data, count, rows, columns, found.data);
 }
 
 /* walk(arm, poses, q, reached, tolerance, longest, halvings) */
@@ -80,18 +75,8 @@ static void walk_all(const In &arm, const In &path, Out &walked, Out &reached, d
     const Py_ssize_t poses = path.size / 12, count = reached.size, n = a.joints;
     check_fit(path.size == 12 * poses && poses > 0 && walked.size == count * poses * n);
     nb::gil_scoped_release released;
-    for (Py_ssize_t i = 0; i < count; i++) {
-        double *q = walked.data + i * poses * n;
-        const size_t size = sizeof(double) * (size_t)n;
-        Py_ssize_t k = 1;
-        for (; k < poses; k++, q += n) {
-            memcpy(q + n, q, size);
-            const double *from = path.data + 12 * (k - 1);
-            if (!step_to(&a, from, from + 12, q + n, tolerance, longest, halvings)) break;
-        }
-        reached.data[i] = (double)(k - 1);
-        for (; k < poses; k++, q += n) memcpy(q + n, q, size);
-    }
+    for (Py_ssize_t i = 0; i < count; i++)
+        reached.data[i] = (double)walk(a, poses_in(path), poses, walked.data + i * poses * n, tolerance, longest, halvings);
 }
 
 void bind_kinematics(nb::module_ &m) {

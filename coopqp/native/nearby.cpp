@@ -2,6 +2,7 @@
 
 #include "nearby.h"
 
+#include <Eigen/QR>
 #include <math.h>
 #include <string.h>
 
@@ -89,8 +90,8 @@ Shapes::Shapes(const In &axes, const In &carriers, const In &shapes, const std::
     check_fit(axes.size == 6 * carriers.size && (size_t)shapes.size == NUMBERS * count && pairs.size % 2 == 0);
     joint.resize(n), shape.resize(count), stamps.resize(count), x.resize(n);
     for (size_t j = 0; j < n; j++) {
-        memcpy(joint[j].moment, axes.data + 6 * j, 3 * sizeof(double));
-        memcpy(joint[j].axis, axes.data + 6 * j + 3, 3 * sizeof(double));
+        joint[j].moment = Eigen::Map<const Vector3>(axes.data + 6 * j);
+        joint[j].axis = Eigen::Map<const Vector3>(axes.data + 6 * j + 3);
         check_fit(carriers.data[j] >= -1.0 && carriers.data[j] < (double)j);
         joint[j].carrier = (int)carriers.data[j];
     }
@@ -99,9 +100,8 @@ Shapes::Shapes(const In &axes, const In &carriers, const In &shapes, const std::
         Shape &s = shape[i];
         check_fit(numbers[JOINT] >= -1.0 && numbers[JOINT] < (double)n && numbers[KIND] >= BOX && numbers[KIND] <= HULL);
         s.kind = (int)numbers[KIND], s.joint = (int)numbers[JOINT], s.radius = numbers[RADIUS];
-        memcpy(s.half, numbers + HALF, sizeof s.half);
-        memcpy(s.R0, numbers + PLACE, sizeof s.R0), memcpy(s.p0, numbers + PLACE + 9, sizeof s.p0);
-        memcpy(s.R, s.R0, sizeof s.R), memcpy(s.p, s.p0, sizeof s.p);
+        s.half = Eigen::Map<const Vector3>(numbers + HALF);
+        s.at_zero = s.T = *reinterpret_cast<const Pose *>(numbers + PLACE);
         s.corners.assign(corners[i].data, corners[i].data + corners[i].size);
         check_fit(s.corners.size() % 3 == 0 && (s.kind != HULL || !s.corners.empty()));
     }
@@ -109,7 +109,7 @@ Shapes::Shapes(const In &axes, const In &carriers, const In &shapes, const std::
         check_fit(pairs.data[i] >= 0.0 && pairs.data[i] < (double)count);
         (i % 2 ? second : first).push_back((int)pairs.data[i]);
     }
-    for (size_t k = 0; k < first.size(); k++) ways.insert(ways.end(), {1.0, 0.0, 0.0});
+    ways.assign(first.size(), Vector3::UnitX());
 }
 
 void Shapes::place(const double *positions) {
@@ -120,29 +120,21 @@ void Shapes::place(const double *positions) {
 
 /* Where a joint takes what stands at zero positions: p = (1 − R) c about its axis through c, or x along it. */
 const Shapes::Joint &Shapes::placed_joint(int j) {
-    static const Joint world = {{}, {}, {1, 0, 0, 0, 1, 0, 0, 0, 1}, {}, {}, -1, 0};
+    static const Joint world = {{}, {}, {Matrix3::Identity(), Vector3::Zero()}, {}, -1, 0};
     if (j < 0) return world;
     Joint &own = joint[(size_t)j];
     if (own.stamp == stamp) return own;
     const Joint &before = placed_joint(own.carrier);
-    double R[9] = {1, 0, 0, 0, 1, 0, 0, 0, 1}, p[3], turn[3], c[3], moved[3];
     const double at = x[(size_t)j];
-    if (dot3(own.axis, own.axis) > 0.5) {
-        for (int i = 0; i < 3; i++) turn[i] = at * own.axis[i];
-        exp3(turn, R);
-        cross(own.axis, own.moment, c);
-        rotate(R, c, moved);
-        for (int i = 0; i < 3; i++) p[i] = c[i] - moved[i];
-    } else {
-        for (int i = 0; i < 3; i++) p[i] = at * own.moment[i];
+    Pose moved = {Matrix3::Identity(), at * own.moment};
+    if (own.axis.squaredNorm() > 0.5) {
+        const Vector3 c = own.axis.cross(own.moment);
+        moved.R = exp3(at * own.axis);
+        moved.p = c - moved.R * c;
     }
-    multiply3(before.R, R, own.R);
-    rotate(before.R, p, own.p);
-    for (int i = 0; i < 3; i++) own.p[i] += before.p[i];
-    rotate(before.R, own.axis, own.twist + 3);
-    rotate(before.R, own.moment, own.twist);
-    cross(before.p, own.twist + 3, moved);
-    for (int i = 0; i < 3; i++) own.twist[i] += moved[i];
+    own.T = compose(before.T, moved);
+    own.twist = both(before.T.R * own.moment, before.T.R * own.axis);
+    own.twist.head<3>() += before.T.p.cross(own.twist.tail<3>());
     own.stamp = stamp;
     return own;
 }
@@ -150,24 +142,21 @@ const Shapes::Joint &Shapes::placed_joint(int j) {
 const Shape &Shapes::placed(size_t i) {
     Shape &s = shape[i];
     if (stamps[i] == stamp || s.joint < 0) return s;
-    const Joint &on = placed_joint(s.joint);
-    multiply3(on.R, s.R0, s.R);
-    rotate(on.R, s.p0, s.p);
-    for (int m = 0; m < 3; m++) s.p[m] += on.p[m];
+    s.T = compose(placed_joint(s.joint).T, s.at_zero);
     stamps[i] = stamp;
     return s;
 }
 
 double Shapes::bound(Py_ssize_t k, double enough, double tolerance) {
     const Shape &a = placed((size_t)first[(size_t)k]), &b = placed((size_t)second[(size_t)k]);
-    return least_gap(a, b, ways.data() + 3 * k, enough, tolerance, nullptr);
+    return least_gap(a, b, ways[(size_t)k], enough, tolerance, nullptr);
 }
 
 double Shapes::gap(Py_ssize_t k, double *ends) {
     const Shape &a = placed((size_t)first[(size_t)k]), &b = placed((size_t)second[(size_t)k]);
-    double *way = ways.data() + 3 * k;
-    const double found = least_gap(a, b, way, INFINITY, GJK_SHARE, ends + 3);
-    memcpy(ends, way, 3 * sizeof(double));
+    Vector3 point;
+    const double found = least_gap(a, b, ways[(size_t)k], INFINITY, GJK_SHARE, &point);
+    Twist(ends, 6, 1) = both(ways[(size_t)k], point);
     return found;
 }
 
@@ -178,80 +167,51 @@ void Evasion::add(const std::vector<double> &G, double lacks) {
     missing.push_back(lacks);
 }
 
-/* Take its parts along unit vectors out of a vector of n numbers; what is left of its length. */
-static double reject(std::vector<double> &v, const std::vector<std::vector<double>> &units) {
-    double square = 0.0;
-    for (int again = 0; again < 2; again++)
-        for (const std::vector<double> &u : units) {
-            double part = 0.0;
-            for (size_t i = 0; i < v.size(); i++) part += u[i] * v[i];
-            for (size_t i = 0; i < v.size(); i++) v[i] -= part * u[i];
-        }
-    for (const double own : v) square += own * own;
-    return sqrt(square);
-}
-
 /* An orthonormal basis of each redundant arm's self-motion, in units of its joints' speeds. */
 void Evasion::find_basis(Shapes &shapes, const In &arm, const In &speeds) {
-    const size_t nv = (size_t)arm.size;
-    basis.clear();
-    for (size_t begin = 0, end; begin < nv; begin = end) {
+    const Py_ssize_t nv = arm.size;
+    basis.resize(nv, 0);
+    for (Py_ssize_t begin = 0, end; begin < nv; begin = end) {
         for (end = begin; end < nv && arm.data[end] == arm.data[begin];) end++;
-        const size_t n = end - begin;
-        if (n <= 6) continue;
-        const auto scale = [&](size_t i) { return speeds.data[begin + i] < FASTEST_JOINT ? speeds.data[begin + i] : 1.0; };
-        std::vector<std::vector<double>> units;
-        for (size_t row = 0; row < n; row++) { /* what moves the tool, then the rest of the space */
-            std::vector<double> v(n), best;
-            double longest = 0.0, size = 0.0;
-            for (size_t tries = 0; tries < (row < 6 ? 1 : n); tries++) {
-                for (size_t i = 0; i < n; i++)
-                    v[i] = row < 6 ? scale(i) * shapes.twist(begin + i)[row] : (i == tries ? 1.0 : 0.0);
-                size = reject(v, units);
-                if (size > longest) longest = size, best = v;
-            }
-            if (!(longest > 0.0)) best.assign(n, 0.0), longest = 1.0;
-            for (double &own : best) own /= longest;
-            units.push_back(best);
-            if (row < 6) continue;
-            basis.resize(basis.size() + nv);
-            for (size_t i = 0; i < n; i++) basis[basis.size() - nv + begin + i] = best[i] * scale(i);
+        const Py_ssize_t n = end - begin, motions = n - 6;
+        if (motions <= 0) continue;
+        Eigen::VectorXd scale(n);
+        Eigen::MatrixXd tool(n, 6); /* what each joint does to it */
+        for (Py_ssize_t i = 0; i < n; i++) {
+            scale[i] = speeds.data[begin + i] < FASTEST_JOINT ? speeds.data[begin + i] : 1.0;
+            tool.row(i) = scale[i] * shapes.twist((size_t)(begin + i)).transpose();
         }
+        const Eigen::MatrixXd Q = tool.householderQr().householderQ();
+        basis.conservativeResize(nv, basis.cols() + motions);
+        basis.rightCols(motions).setZero();
+        basis.rightCols(motions).middleRows(begin, n) = scale.asDiagonal() * Q.rightCols(motions);
     }
 }
 
 /* min |z|² + |s|² with G (q′ + N z) + s / YIELDS >= lower: of rows that self-motion changes, with unit norm. */
 void Evasion::move(Shapes &shapes, const In &arm, const In &speeds, double *slope) {
-    const size_t nv = (size_t)arm.size;
+    using Rows = Eigen::Matrix<double, Eigen::Dynamic, Eigen::Dynamic, Eigen::RowMajor>;
     find_basis(shapes, arm, speeds);
-    const size_t motions = basis.size() / nv;
-    std::vector<std::vector<double>> helping;
-    low.clear();
-    for (size_t i = 0; i < missing.size(); i++) {
-        std::vector<double> row(motions);
-        double most = 0.0, square = 1.0 / (YIELDS * YIELDS);
-        for (size_t z = 0; z < motions; z++) {
-            for (size_t j = 0; j < nv; j++) row[z] += rows[i * nv + j] * basis[z * nv + j];
-            most = maximum(most, fabs(row[z])), square += row[z] * row[z];
-        }
-        if (!(most > HELPS)) continue;
-        for (double &own : row) own /= sqrt(square);
-        row.push_back(1.0 / (YIELDS * sqrt(square)));
-        helping.push_back(row), low.push_back(missing[i] / sqrt(square));
-    }
-    const size_t m = helping.size(), n = m + motions;
+    const Py_ssize_t motions = basis.cols(), all = (Py_ssize_t)missing.size();
+    const Rows turned = Eigen::Map<const Rows>(rows.data(), all, arm.size) * basis;
+    std::vector<Py_ssize_t> helping;
+    for (Py_ssize_t i = 0; i < all && motions; i++)
+        if (turned.row(i).cwiseAbs().maxCoeff() > HELPS) helping.push_back(i);
+    const Py_ssize_t m = (Py_ssize_t)helping.size(), n = m + motions;
     if (!m) return;
-    A.assign(m * n, 0.0), high.assign(m, INFINITY), lb.assign(n, -INFINITY), ub.assign(n, INFINITY);
-    x.assign(n, 0.0), y.assign(m + n, 0.0), work.assign(2 * n * (n + 3), 0.0);
-    for (size_t i = 0; i < m; i++) {
-        std::copy(helping[i].begin(), helping[i].end() - 1, A.begin() + (Py_ssize_t)(i * n));
-        A[i * n + motions + i] = helping[i].back();
+    Rows A = Rows::Zero(m, n);
+    Eigen::VectorXd low(m), x(n), y(m + n), work(2 * n * (n + 3));
+    for (Py_ssize_t i = 0; i < m; i++) {
+        const auto row = turned.row(helping[(size_t)i]);
+        const double per = 1.0 / sqrt(row.squaredNorm() + 1.0 / (YIELDS * YIELDS));
+        A.row(i).head(motions) = per * row;
+        A(i, motions + i) = per / YIELDS, low[i] = per * missing[(size_t)helping[(size_t)i]];
     }
-    if (best()->least_distance((int)n, (int)m, A.data(), low.data(), high.data(), lb.data(), ub.data(), INFINITY, x.data(),
+    const Eigen::VectorXd ub = Eigen::VectorXd::Constant(m + n, INFINITY), lb = -ub;
+    if (best()->least_distance((int)n, (int)m, A.data(), low.data(), ub.data(), lb.data(), ub.data(), INFINITY, x.data(),
                                y.data(), work.data()) < 0)
         return;
-    for (size_t z = 0; z < motions; z++)
-        for (size_t j = 0; j < nv; j++) slope[j] += basis[z * nv + j] * x[z];
+    Eigen::Map<Eigen::VectorXd>(slope, arm.size) += basis * x.head(motions);
 }
 
 /* -- building -------------------------------------------------------------------------------------------------------- */
@@ -297,8 +257,7 @@ Nearby::Nearby(const nb::dict &arrays, const Settings &settings, Coal &&coal_giv
 void Nearby::placement(const In &x, Py_ssize_t i, Out &found) {
     check_fit(x.size == joints && found.size == 12 && i >= 0 && (size_t)i < shapes.size());
     shapes.place(x.data);
-    const Shape &s = shapes.placed((size_t)i);
-    memcpy(found.data, s.R, sizeof s.R), memcpy(found.data + 9, s.p, sizeof s.p);
+    *reinterpret_cast<Pose *>(found.data) = shapes.placed((size_t)i).T;
 }
 
 double Nearby::bound(const In &x, Py_ssize_t k) {
@@ -592,11 +551,11 @@ bool Nearby::evade() {
         double clearance = shapes.gap(k, ends) - margins.data[k];
         if (isnan(ends[3])) clearance = asked(k, x), coal.ends(k, ends);
         if (!(clearance < set.evades)) continue;
-        double turn[3];
-        cross(ends + 3, ends, turn);
+        const Eigen::Map<const Vector3> normal(ends), point(ends + 3);
+        const Vector6 force = both(normal, point.cross(normal)); /* about the world's origin */
         for (size_t j = 0; j < row.size(); j++) {
-            const double kind = kinds.data[k * joints + (Py_ssize_t)j], *own = kind != 0.0 ? shapes.twist(j) : nullptr;
-            row[j] = own ? kind * (dot3(ends, own) + dot3(turn, own + 3)) : 0.0;
+            const double kind = kinds.data[k * joints + (Py_ssize_t)j];
+            row[j] = kind != 0.0 ? kind * force.dot(shapes.twist(j)) : 0.0;
             speed += row[j] * evading_slope.data[j];
         }
         const double lacks = least_speed_of(clearance - comfort) - speed;
