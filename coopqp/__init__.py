@@ -14,6 +14,7 @@ Each package is one part of the flow. It imports from itself and from those abov
 * ``forces``: the wrenches between the arms and the object;
 * ``simulation``: plants, the loop, recordings and their evaluation;
 * ``scenarios``: ready cells and tasks;
+* ``drivers``: the control loop on robots, drivers, simulated robots;
 * ``files``: cell files and exports;
 * ``studies``: many runs, and where bases may stand;
 * ``visualization``, ``cli``: pictures, the command ``coopqp``.

@@ -2,6 +2,7 @@ from . import (
     baselines as baselines,
     collision as collision,
     control as control,
+    drivers as drivers,
     errors as errors,
     files as files,
     forces as forces,

@@ -71,6 +71,7 @@ PROGRAMS: Mapping[str, tuple[str, ...]] = {
     "python docs/examples/31_a_way_round.py --out {out}": ("docs/tutorials/way_round.png",),
     "python docs/examples/32_operator.py --out {out}": ("docs/tutorials/operator.png",),
     "python docs/examples/33_conveyor.py --out {out}": ("docs/tutorials/conveyor.png",),
+    "python docs/examples/34_slowest_arm.py --out {out}": ("docs/howto/drive.png",),
 }
 #: Programs of this kind need Chromium (`make browser`).
 NEEDS_BROWSER = "docs/screenshots.py"

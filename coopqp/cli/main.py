@@ -12,7 +12,7 @@ from importlib import metadata
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NoReturn
 
-from coopqp.cli import calibrate, check, examples, jog, new, route, sensors, studies
+from coopqp.cli import calibrate, check, drive, examples, jog, new, route, sensors, studies
 from coopqp.cli.commands import COMMANDS
 from coopqp.cli.terminal import add_command, print_hints, print_table, print_written, reporter, say
 from coopqp.errors import CoopqpError, MissingExtraError, UndecidedError, UnreachableError, cause_of
@@ -180,7 +180,7 @@ def _run_demo(arguments: argparse.Namespace) -> int:
     return OK
 
 
-_MODULES = (examples, new, check, route, calibrate, sensors, jog, studies)
+_MODULES = (examples, new, check, route, calibrate, sensors, jog, drive, studies)
 _COMMANDS = (_add_demo, *COMMANDS, *(add for module in _MODULES for add in module.COMMANDS))
 
 

@@ -100,7 +100,7 @@ def simulate(
     measure = getattr(plant, "measure", None)
     readings = [measured] if measure is None else [measured, *(measure() for _ in range(_REST_SAMPLES - 1))]
     controller.reset(cell.average(readings))  # noise averages out
-    recorder = _Recorder(controller, measured, plant if loads else None, ends=(after, longest))
+    recorder = RunRecorder(controller, measured, plant if loads else None)
     nominal = max(1, round((longest if endless else controller.path.duration + after) / controller.dt))
     elapsed, rest, still = 0.0, 0.0, 0.0
     while elapsed < longest - 1e-9 * longest:
@@ -122,7 +122,7 @@ def simulate(
         if still >= enough:
             break
     held = {"plant": type(plant).__name__, "gripped": getattr(plant, "gripped", None)}
-    return recorder.recording({**held, **(metadata or {})})
+    return recorder.recording({**held, "settle": after, "longest": longest, **(metadata or {})})
 
 
 def _step_call(controller: Controller, plant: Plant) -> Callable[[Array], ControlStep]:
@@ -153,14 +153,11 @@ def _stands(step: ControlStep) -> bool:
 
 
 @final
-class _Recorder:
+class RunRecorder:
     """Gathers the steps of a run."""
 
-    def __init__(
-        self, controller: Controller, measured: Array, loaded: Any = None, *, ends: tuple[float, float]
-    ) -> None:
+    def __init__(self, controller: Controller, measured: Array, loaded: Any = None) -> None:
         cell = controller.cell
-        self._ends = ends
         self._controller: Any = controller
         self._loaded = loaded
         self._rows = {"time": Rows(), "clock": Rows(), "rate": Rows(), "status": Rows(), "reference": Rows(4, 4)}
@@ -233,8 +230,6 @@ class _Recorder:
                 "path": describe_path(controller.path),
                 "binding": self._binding,
                 "begun": self._begun,
-                "settle": self._ends[0],
-                "longest": self._ends[1],
                 "calls": self._calls,
                 "finished": self._finished,
                 "failures": self._failures,

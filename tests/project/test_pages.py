@@ -174,8 +174,16 @@ def run_arm(block: str, place: Path) -> None:
     assert cli.main(["check", str(file), "--quiet"]) == 0
 
 
+def run_driver(block: str, place: Path) -> None:
+    """The table of the page is that of a simulated robot."""
+    file = place / "driven.toml"
+    file.write_text((CELLS / "bar.toml").read_text(encoding="utf-8") + "\n" + block, encoding="utf-8")
+    assert load_cell_file(file).settings.drivers["left"].lag == 0.04
+
+
 TOML: dict[str, Callable[[str, Path], None]] = {
     "howto/cell-file.md": run_verdict,
+    "howto/drivers.md": run_driver,
     "howto/four-cells.md": run_arm,
 }
 

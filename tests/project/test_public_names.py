@@ -22,8 +22,8 @@ LAZY = (
     *(
         f"coopqp.{package}"
         for package in (
-            "baselines", "collision", "constraints", "control", "files", "forces", "model", "paths", "planning",
-            "simulation", "solvers", "studies", "visualization",
+            "baselines", "collision", "constraints", "control", "drivers", "files", "forces", "model", "paths",
+            "planning", "simulation", "solvers", "studies", "visualization",
         )
     ),
 )  # fmt: skip
@@ -36,6 +36,7 @@ INSIDE = (
     "benchmarks/peer",
     "benchmarks/collisions.py",
     "benchmarks/compare_peers.py",
+    "benchmarks/drive_cases.py",
     "benchmarks/look_ahead_cases.py",
     "benchmarks/ompl_routes.py",
     "benchmarks/planning.py",

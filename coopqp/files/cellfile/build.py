@@ -21,6 +21,8 @@ from coopqp.collision.scene import CollisionScene
 from coopqp.control.interface import Controller
 from coopqp.control.options import QPOptions
 from coopqp.control.qp import QPController
+from coopqp.drivers.driver import RobotDriver
+from coopqp.drivers.sim import SimDriver, SimOptions
 from coopqp.errors import CoopqpError, InvalidInputError, MissingExtraError, StartWarning, UnknownNameError
 from coopqp.files.cellfile.bodies import build_scene
 from coopqp.files.cellfile.build_arm import build_arm, build_placement, build_stiffness, in_radians
@@ -195,6 +197,34 @@ class CellRun:
         table = self.settings.plant
         options = build_options(PhysicsOptions, table) if table.kind == "physics" else None
         return PhysicsPlant.of(self.scenario, options=options, disturbances=self.disturbances)
+
+    def drivers(self, kind: str | None = None) -> dict[str, RobotDriver]:
+        """A new driver for each arm, as the file's tables say.
+
+        Args:
+            kind: "sim": robots in simulation that stand at the start, in place of those of the file.
+
+        Raises:
+            CellFileError: an arm without a driver, or a driver without an arm.
+            UnknownNameError: no such kind.
+        """
+        cell, tables = self.scenario.cell, self.settings.drivers
+        if kind not in (None, "sim"):
+            raise UnknownNameError("driver", str(kind), ("sim",), "drive")
+        for name in tables:
+            if name not in cell.arm_names:
+                raise CellFileError(f"{self.file}: drivers: no arm named '{name}'; arms: {', '.join(cell.arm_names)}.")
+        x, made = cell.positions(self.scenario.q_start), dict[str, RobotDriver]()
+        for name, own in zip(cell.arm_names, cell.v_slices, strict=True):
+            if kind is None and name not in tables:
+                raise CellFileError(
+                    f"{self.file}: arm '{name}' has no driver. Give a table [drivers.{name}], or --driver sim."
+                )
+            joints = [joint.partition("/")[2] for joint in cell.joint_names[own]]
+            simulated = name in tables and tables[name].kind == "sim"
+            options = build_options(SimOptions, tables[name]) if simulated else SimOptions()
+            made[name] = SimDriver(joints, x[own], options)
+        return made
 
     @property
     def sensors(self) -> dict[str, WristSensor]:

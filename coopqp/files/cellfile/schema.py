@@ -13,6 +13,7 @@ from pydantic import AfterValidator, Field, model_validator
 from coopqp.baselines.independent import IndependentQPOptions
 from coopqp.baselines.pseudo_inverse import PseudoInverseOptions
 from coopqp.control.options import QPOptions
+from coopqp.drivers.sim import SimOptions
 from coopqp.errors import shown
 from coopqp.files.cellfile.basic import (
     MAX_ARMS,
@@ -311,6 +312,8 @@ PhysicsTable = table_of(
     first={"kind": (Literal["physics"], ...)},
 )
 
+SimTable = table_of(SimOptions, "SimTable", first={"kind": (Literal["sim"], ...)})
+
 #: Largest accepted errors: the run fails beyond them.
 _VerdictTable = table_of(Tolerances, "VerdictTable")
 
@@ -318,8 +321,10 @@ if TYPE_CHECKING:
     ControllerTable = Any  # built at run time from the options dataclasses
     PlantTable = Any
     VerdictTable = Any
+    DriverTable = Any
 else:
     VerdictTable = _VerdictTable
+    DriverTable = SimTable
     ControllerTable = Annotated[QPTable | PseudoInverseTable | IndependentTable, Field(discriminator="kind")]
     PlantTable = Annotated[KinematicTable | PhysicsTable, Field(discriminator="kind")]
 
@@ -383,6 +388,9 @@ class CellFile(Table):
     longest_s: Seconds | None = Field(default=None, description="longest run (default: ten times the path's duration)")
     collision: CollisionTable | None = Field(
         default=None, description="what the arms and the object keep away from; without it a run is only judged"
+    )
+    drivers: Annotated[dict[Name, DriverTable], Len(0, MAX_ARMS)] = Field(
+        default={}, description="the driver of each robot, by the name of its arm, for `coopqp drive`"
     )
     verdict: VerdictTable = Field(
         default_factory=_VerdictTable, description="accepted errors; `coopqp run` ends with status 4 beyond them"

@@ -1,0 +1,263 @@
+"""The subcommand ``coopqp drive``: a cell file on robots. It is no safety function."""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import math
+import signal
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from coopqp.cli.terminal import add_command, print_table, print_written, say
+from coopqp.errors import InvalidInputError, printable
+
+if TYPE_CHECKING:
+    from coopqp.drivers.driver import RobotDriver
+    from coopqp.drivers.loop import ControlLoop
+    from coopqp.files.cellfile.build import CellRun
+
+_OK, _REFUSED, _FAILED, _INTERRUPTED = 0, 3, 4, 130
+#: How long states are read before a dry run [s].
+_READING = 2.0
+#: How far the arms may part when one stalls, on enabled robots [m].
+_STALL = 0.005
+
+
+def add_drive(commands: Any) -> None:
+    """Add the parser of ``coopqp drive``."""
+    parser = add_command(
+        commands,
+        "drive",
+        run_drive,
+        force="FILE of --record",
+        help="drive robots along the path of a cell file",
+        description="Drive the robots of a cell file, table [drivers], along its path. Without --enable nothing is "
+        "sent: it reads their states for two seconds, runs the path in simulation in real time, and says what would be "
+        "refused. It is no safety function: the robots' own safety controllers stay in charge.",
+        epilog="Exit status: 0 if the run finished, or if nothing would be refused; 4 if the run did not finish; 3 if "
+        "the cell is refused; 2 for bad input; 130 for Ctrl-C, which brakes all arms together. A second Ctrl-C stops "
+        "every driver at once.",
+    )
+    parser.add_argument("cell", type=Path, metavar="CELL", help="cell file (.toml or .yaml)")
+    parser.add_argument("--driver", choices=("sim",), help="this driver for every arm, in place of the file's")
+    parser.add_argument(
+        "--enable",
+        nargs="?",
+        const="",
+        metavar="NAME",
+        help="move the robots; NAME is the cell's, or is asked for",
+    )
+    parser.add_argument(
+        "--speed", type=float, default=0.1, metavar="SHARE", help="share of the path's speed, up to 1 (0.1)"
+    )
+    parser.add_argument("--record", type=Path, metavar="FILE", help="also write the run as a recording (.npz)")
+
+
+def run_drive(arguments: argparse.Namespace) -> int:
+    """Run ``coopqp drive``."""
+    from coopqp.checks import as_scalar
+    from coopqp.files.cellfile import load_cell_file, require_readers
+    from coopqp.output import check_new
+
+    require_readers()
+    speed = as_scalar(arguments.speed, "--speed", high=1.0)
+    if arguments.record is not None:
+        if arguments.enable is None:
+            raise InvalidInputError("nothing is driven without --enable", "--record", "Give both, or neither.")
+        if arguments.record.suffix != ".npz":
+            raise InvalidInputError(f"'{arguments.record}' does not end in .npz", "--record", "Give another name.")
+        check_new(arguments.record, force=arguments.force)
+    run = load_cell_file(arguments.cell)
+    if run.controller_kind != "qp":
+        raise InvalidInputError(f"the controller is '{run.controller_kind}'", "drive", 'Give kind = "qp".')
+    if arguments.enable is not None:
+        _ask(run.scenario.name, arguments.enable)
+    drivers = run.drivers(arguments.driver)
+    try:
+        if arguments.enable is None:
+            return _dry_run(run, drivers, speed)
+        return _drive(run, drivers, speed, arguments)
+    finally:
+        for driver in drivers.values():
+            close = getattr(driver, "close", None)
+            if close is not None:
+                close()
+
+
+def _ask(name: str, given: str) -> None:
+    """The cell's name has to be given, so that no other cell is moved."""
+    if not given:
+        if not sys.stdin.isatty():
+            raise InvalidInputError("nobody can be asked for the cell's name", "--enable", f"Give --enable '{name}'.")
+        given = input(f"The robots will move. Type the cell's name ({printable(name)}) to enable them: ")
+    if given.strip() != name:
+        raise InvalidInputError(f"the cell's name is '{name}', not '{given}'", "--enable", "Give its name.")
+
+
+# -- without --enable --------------------------------------------------------------------------------------------------
+
+
+def _dry_run(run: CellRun, drivers: dict[str, RobotDriver], speed: float) -> int:
+    from coopqp.drivers.loop import ControlLoop
+
+    loop = ControlLoop(run.controller(), drivers)
+    refused = loop.refused()
+    _print_states(run, loop)
+    refused += _far_from_start(run, loop)
+    late = _in_simulation(run, loop, speed) if not refused else ""
+    if late:
+        print(late)
+    for line in refused:
+        say("refused:", line)
+    print("nothing was sent; " + ("the cell would be refused" if refused else "nothing would be refused"))
+    return _REFUSED if refused else _OK
+
+
+def _print_states(run: CellRun, loop: ControlLoop) -> None:
+    """Rate, age and offset of the states of two seconds, and how far each arm is from the start."""
+    import time
+
+    import numpy as np
+
+    from coopqp.drivers.timing import MonotonicTime
+
+    cell = run.scenario.cell
+    start = cell.positions(run.scenario.q_start)
+    ages: dict[str, list[float]] = {watch.robot.name: [] for watch in loop.watches}
+    first = {watch.robot.name: watch.received for watch in loop.watches}
+    began = time.monotonic()
+    clock = MonotonicTime()
+    while time.monotonic() < began + _READING:
+        for watch in loop.watches:
+            watch.read(clock)
+            ages[watch.robot.name].append(watch.age(clock.now()))
+        time.sleep(loop.period)
+    lines = [["robot", "states [1/s]", "age [ms]", "offset [s]", "lag [ms]", "from the start [mrad]", "says"]]
+    for watch in loop.watches:
+        name, driver = watch.robot.name, watch.robot.driver
+        rate = (watch.received - first[name]) / (time.monotonic() - began)
+        away = np.abs(watch.positions() - start[watch.robot.joints]).max()
+        lag = "not told" if driver.lag is None else f"{1e3 * driver.lag:.0f}"
+        lines.append(
+            [name, f"{rate:.0f}", f"{1e3 * float(np.median(ages[name])):.1f}", f"{watch.offset:.3f}", lag,
+             f"{1e3 * away:.1f}", watch.condition().value]
+        )  # fmt: skip
+    print_table(lines, numeric=[False, True, True, True, True, True, False])
+
+
+def _far_from_start(run: CellRun, loop: ControlLoop) -> list[str]:
+    """Why the controller would not begin where the robots stand."""
+    import numpy as np
+
+    from coopqp.errors import CoopqpError
+
+    cell = run.scenario.cell
+    x = np.zeros(cell.nv)
+    for watch in loop.watches:
+        x[watch.robot.joints] = watch.positions()
+    try:
+        run.controller().reset(cell.configuration_of(x))
+    except CoopqpError as error:
+        return [str(error)]
+    return []
+
+
+def _in_simulation(run: CellRun, loop: ControlLoop, speed: float) -> str:
+    """Run the path on robots simulated in this process, in real time; say how late the loop was."""
+    from coopqp.drivers.loop import ControlLoop
+    from coopqp.drivers.simulated import SimulatedRobot
+    from coopqp.drivers.timing import MonotonicTime
+
+    clock, robots = MonotonicTime(), {}
+    for watch in loop.watches:
+        driver = watch.robot.driver
+        robots[watch.robot.name] = SimulatedRobot(
+            driver.joint_names, watch.positions(), time=clock, period=driver.period, lag=driver.lag or 0.0,
+            delay=driver.delay,
+        )  # fmt: skip
+    controller: Any = run.controller()
+    controller.set_override(speed)
+    report = ControlLoop(controller, robots, time=clock).run()
+    return "in simulation, in real time: " + "\n  ".join(report.lines())
+
+
+# -- with --enable -----------------------------------------------------------------------------------------------------
+
+
+def _drive(run: CellRun, drivers: dict[str, RobotDriver], speed: float, arguments: argparse.Namespace) -> int:
+    from coopqp.drivers.loop import ControlLoop
+    from coopqp.drivers.options import LoopOptions
+    from coopqp.drivers.recorder import MemoryRecorder
+
+    controller, slower = _bounded(run)
+    controller.set_override(speed)
+    recorder = None if arguments.record is None else MemoryRecorder(controller)
+    loop = ControlLoop(controller, drivers, LoopOptions(ramp_time=2.0), recorder=recorder)
+    refused = loop.refused()
+    if refused:
+        for line in refused:
+            say("refused:", line)
+        return _REFUSED
+    with _interrupts(loop) as interrupts:
+        if not arguments.quiet:
+            print(slower, flush=True)
+        report = loop.run()
+    if not arguments.quiet:
+        print("\n".join(report.lines()))
+    if recorder is not None:
+        recorder.recording({"scenario": run.scenario.name}).save(arguments.record)
+        print_written([arguments.record], quiet=arguments.quiet)
+    if interrupts:
+        return _INTERRUPTED
+    if not report.finished:
+        say("failed:", report.reason)
+    return _OK if report.finished else _FAILED
+
+
+def _bounded(run: CellRun) -> tuple[Any, str]:
+    """The controller with a bound of how far the arms may part in a stall; and how much longer its run takes."""
+    from coopqp.collision.clearance import Clearance
+    from coopqp.control.monitoring.stall_bound import StallBound
+    from coopqp.control.qp import QPController
+    from coopqp.simulation.simulate import simulate
+
+    s = run.scenario
+    scene = [Clearance(run.scene)] if run.avoids and run.scene is not None else []
+
+    def made(*bounds: Any) -> QPController:
+        return QPController(s.cell, s.grasp, s.path, dt=s.dt, options=run.options, constraints=[*scene, *bounds])
+
+    if not all(math.isfinite(a) for a in s.cell.limits.acceleration):
+        return made(), ""  # it is refused
+    bound = StallBound(_STALL, dt=s.dt)
+    free, kept = (float(simulate(c, q_start=s.q_start).time[-1]) for c in (made(), made(bound)))
+    return made(bound), (
+        f"so that a stall parts the arms by {1e3 * _STALL:.0f} mm at most, the path takes {kept:.2f} s at full speed "
+        f"in place of {free:.2f} s"
+    )
+
+
+@contextlib.contextmanager
+def _interrupts(loop: ControlLoop) -> Iterator[list[int]]:
+    """Ctrl-C brakes all arms together; a second one stops every driver at once."""
+    seen: list[int] = []
+
+    def handle(number: int, frame: Any) -> None:
+        seen.append(number)
+        if len(seen) == 1:
+            loop.stop("interrupted")
+            return
+        loop.stop_drivers()
+        raise KeyboardInterrupt
+
+    before = signal.signal(signal.SIGINT, handle)
+    try:
+        yield seen
+    finally:
+        signal.signal(signal.SIGINT, before)
+
+
+COMMANDS = (add_drive,)

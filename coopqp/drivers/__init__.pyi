@@ -1,0 +1,17 @@
+from .driver import (
+    Bodies as Bodies,
+    Command as Command,
+    Condition as Condition,
+    DriverError as DriverError,
+    LoopRecorder as LoopRecorder,
+    RobotDriver as RobotDriver,
+    RobotState as RobotState,
+)
+from .engine import EngineCell as EngineCell, EngineRobot as EngineRobot
+from .loop import ControlLoop as ControlLoop
+from .options import LoopOptions as LoopOptions
+from .recorder import MemoryRecorder as MemoryRecorder
+from .report import LoopReport as LoopReport
+from .sim import SimDriver as SimDriver, SimOptions as SimOptions
+from .simulated import ServoModel as ServoModel, SimulatedRobot as SimulatedRobot
+from .timing import LoopTime as LoopTime, ManualTime as ManualTime, MonotonicTime as MonotonicTime

@@ -1,0 +1,422 @@
+"""The control loop: robots read, the controller stepped as far as the slowest arm needs it, every arm sent its command.
+
+It is no safety function. The robots' own safety controllers stay in charge.
+"""
+
+from __future__ import annotations
+
+import math
+import threading
+import warnings
+from collections import Counter, deque
+from collections.abc import Callable, Mapping
+from typing import Any, final
+
+import numpy as np
+import pinocchio as pin
+
+from coopqp.checks import as_options, as_scalar
+from coopqp.collision.clearance import Clearance
+from coopqp.control.interface import ControlStep, Status
+from coopqp.drivers.driver import STANDS, Bodies, Command, Condition, DriverError, LoopRecorder, RobotDriver
+from coopqp.drivers.motion import SharedMotion
+from coopqp.drivers.options import LoopOptions
+from coopqp.drivers.process import prepare_process
+from coopqp.drivers.report import LoopReport, largest_apart
+from coopqp.drivers.robots import refusals, robots_of, turned
+from coopqp.drivers.start import begin, connect, stand, tell_targets, unready
+from coopqp.drivers.timing import LoopTime, MonotonicTime
+from coopqp.drivers.watch import RobotWatch
+from coopqp.errors import InvalidInputError
+from coopqp.spatial import Array, as_placement
+
+#: All arms rest this long before a stop counts [s].
+_SETTLED = 0.1
+#: The object has arrived where all joints are this near to the end [rad or m].
+_ARRIVED = 1e-4
+#: At the end of the path the arms are brought to rest from this speed [rad/s or m/s].
+_SLOW_END = 1e-3
+#: Every how many periods the distance of the arms is looked at.
+_LOOK = 10
+
+
+@final
+class ControlLoop:
+    """Drives robots with a controller. Each run begins with a reset of the controller where the robots stand.
+
+    The calls :meth:`pause`, :meth:`resume`, :meth:`set_override`, :meth:`stop` and :meth:`beat` may come from any
+    thread; they take effect between two periods. It is no safety function.
+
+    Args:
+        controller: a QPController or ForceController.
+        drivers: a driver by the name of its arm, or of its robot where that has several arms.
+        options: settings, or a dictionary of them.
+        bodies: told to the controller's :class:`coopqp.Clearance`, moved on by their twists to the present time; one
+            that is older than ``LoopOptions.gone_after`` is not told, and the controller holds by its own patience.
+        recorder: gets every period.
+        time: the clock; the machine's by default.
+
+    Attributes:
+        robots: the robots, with their joints.
+        watches: what is read of each.
+        period, lead: of the loop [s].
+
+    Raises:
+        InvalidInputError: drivers that do not fit the cell, or bad settings.
+    """
+
+    def __init__(
+        self,
+        controller: Any,
+        drivers: Mapping[str, RobotDriver],
+        options: LoopOptions | Mapping[str, Any] | None = None,
+        *,
+        bodies: Bodies | None = None,
+        recorder: LoopRecorder | None = None,
+        time: LoopTime | None = None,
+    ) -> None:
+        for method in ("reset", "step", "pause", "resume", "set_override"):
+            if not callable(getattr(controller, method, None)):
+                raise InvalidInputError(
+                    f"a {type(controller).__name__} has no {method}()",
+                    "ControlLoop: controller",
+                    "Give a QPController.",
+                )
+        self.controller, self.cell = controller, controller.cell
+        self.options = as_options(LoopOptions, options, "ControlLoop: options")
+        self.robots = robots_of(self.cell, drivers)
+        self.period = controller.dt if self.options.period is None else self.options.period
+        self.lead = 2.0 * self.period if self.options.lead is None else self.options.lead
+        self._recorder, self._bodies = recorder, bodies
+        self._clearances = [c for c in getattr(controller, "constraints", ()) if isinstance(c, Clearance)]
+        if bodies is not None and not self._clearances:
+            raise InvalidInputError(
+                "bodies without a Clearance", "ControlLoop: bodies", "Give the controller one with moving bodies."
+            )
+        self._time = MonotonicTime() if time is None else time
+        self._calls: deque[Callable[[], None]] = deque()
+        self.watches = tuple(RobotWatch(robot, self.options.patience) for robot in self.robots)
+        self._wrenches = bool(getattr(controller, "needs_wrenches", False))
+        self._lock = threading.Lock()
+        self._beaten = -math.inf
+        self._ending = ""
+        self._failed = False
+        self._motion: SharedMotion | None = None
+        self._now = -math.inf
+
+    # -- operators' calls ------------------------------------------------------------------------------------------
+
+    def pause(self) -> None:
+        """Bring the object to rest on its path, until :meth:`resume`."""
+        self._calls.append(self.controller.pause)
+
+    def resume(self) -> None:
+        """Go on after :meth:`pause`, and by hand after a stop, where no robot says any more that it stands."""
+        self._calls.append(self._go_on)
+
+    def set_override(self, share: float) -> None:
+        """The largest rate of the object, 0 to 1.
+
+        Raises:
+            InvalidInputError: not a number from 0 to 1.
+        """
+        share = as_scalar(share, "ControlLoop.set_override: share", open_low=False, high=1.0)
+        self._calls.append(lambda: self.controller.set_override(share))
+
+    def stop(self, reason: str = "stopped by its operator") -> None:
+        """Brake all arms together, and end the run at rest."""
+        self._calls.append(lambda: self._end(reason, failed=True))
+
+    def beat(self) -> None:
+        """Say that the operator is there: the heartbeat of ``LoopOptions.heartbeat``."""
+        self._beaten = self._time.now()
+
+    def stop_drivers(self) -> None:
+        """Stop every robot by its driver at once; nothing is sent again. For a second interrupt and after errors."""
+        for robot in self.robots:
+            try:
+                robot.driver.stop()
+            except Exception as error:
+                warnings.warn(f"driver '{robot.name}' failed to stop: {error}", RuntimeWarning, stacklevel=2)
+
+    def _go_on(self) -> None:
+        if any(watch.condition() in STANDS for watch in self.watches):
+            return
+        self.controller.resume()
+        self._ramp, self._ramp_time, self._standing = self._now, self.options.resume_time, False
+        if self._motion is not None:
+            self._motion.law.restart()
+
+    def _end(self, reason: str, *, failed: bool) -> None:
+        if not self._ending:
+            self._ending, self._failed = reason, failed
+
+    # -- before the motion -----------------------------------------------------------------------------------------
+
+    def refused(self) -> list[str]:
+        """Connect, wait for the states of all robots, and say why the cell would not be driven, a sentence each.
+
+        Raises:
+            DriverError: a robot cannot be reached, or tells no state.
+        """
+        connect(self.watches, self._time, longest=self.options.connect_time, period=self.period)
+        return [
+            *refusals(self.controller, self.robots, period=self.period, tells_target=tell_targets(self.watches)),
+            *unready(self.watches, wrenches=self._wrenches),
+        ]
+
+    def _start(self) -> None:
+        """Reset the controller where the robots stand."""
+        said = self.refused()
+        if said:
+            raise DriverError("not driven: " + " ".join(said))
+        o = self.options
+        readings, targets = stand(self.cell, self.watches, self._time, rest_time=o.rest_time, period=self.period)
+        first = self._last_q = begin(self.controller, self.watches, readings, targets, tolerance=o.start_tolerance)
+        self._motion = SharedMotion(
+            self.cell, self.robots, first, clock=0.0, command_period=self.controller.dt, period=self.period,
+            lead=self.lead, options=o,
+        )  # fmt: skip
+
+    # -- the run ---------------------------------------------------------------------------------------------------
+
+    def run(self) -> LoopReport:
+        """Drive the robots until the object is at the end of its path, or something ends the run.
+
+        Raises:
+            DriverError: a robot cannot be reached, or the cell is not driven as it is; nothing has moved.
+            InvalidInputError: the arms do not hold the object where they stand.
+            RuntimeError: a second run at the same time.
+        """
+        if not self._lock.acquire(blocking=False):
+            raise RuntimeError("this loop runs")
+        try:
+            self._ending, self._failed = "", False
+            o = self.options
+            self._process = prepare_process(realtime=o.realtime, lock_memory=o.lock_memory, core=o.core)
+            self._start()
+            return self._run()
+        except BaseException:
+            self.stop_drivers()
+            raise
+        finally:
+            self._lock.release()
+
+    def _run(self) -> LoopReport:
+        motion, time, h = self._motion, self._time, self.period
+        assert motion is not None
+        self._step: ControlStep | None = None
+        self._seen = np.zeros(self.cell.nv)
+        self._off, self._measured = np.zeros(self.cell.nv), np.full(self.cell.nv, np.nan)
+        self._statuses: Counter[str] = Counter()
+        self._finish, self._still, self._settled, self._stops = math.inf, 0.0, 0.0, 0
+        self._arrived = math.nan
+        self._missing: Counter[str] = Counter()
+        self._looks: list[Array] = []
+        self._looked = 0
+        self._force, self._slowest, self._standing = math.nan, 1.0, False
+        self._now = self._ramp = began = time.now()
+        self._ramp_time = self.options.ramp_time
+        self._beaten = max(self._beaten, began)
+        deadline, periods, missed, late = began, 0, 0, []
+        while True:
+            time.sleep_until(deadline)
+            self._now = now = time.now()
+            late.append(now - deadline)
+            if now > deadline + h:  # no catching up
+                left_out = int((now - deadline) / h)
+                missed += left_out
+                deadline += left_out * h
+            self._period(now, deadline)
+            periods += 1
+            deadline += h
+            if self._over():
+                break
+        self._drain()
+        self.stop_drivers()
+        ended = now if math.isnan(self._arrived) else self._arrived
+        return self._report(ended - began, periods, missed, np.array(late))
+
+    def _drain(self) -> None:
+        while self._calls:
+            self._calls.popleft()()
+
+    def _period(self, now: float, deadline: float) -> None:
+        motion = self._motion
+        assert motion is not None
+        self._drain()
+        if self.options.heartbeat is not None and now - self._beaten > self.options.heartbeat:
+            self._end("the operator's heartbeat stopped", failed=True)
+        said = self._look(now)
+        braking = bool(self._ending)
+        self._move_bodies(now)
+        while motion.needs_command():
+            self._advance()
+        ramp = 1.0 if self._ramp_time == 0.0 else (now - self._ramp) / self._ramp_time
+        ramp = 0.1 + 0.9 * min(ramp, 1.0)
+        sent = motion.step(deadline, most=ramp, said=np.zeros_like(said) if self._standing else said, stand=braking)
+        self._slowest = min(self._slowest, motion.law.rate)
+        before = motion.before
+        for watch in self.watches:
+            joints = watch.robot.joints
+            velocity = (sent[joints] - before[joints]) / self.period
+            watch.robot.driver.send(Command(sent[joints], velocity, deadline + self.lead - watch.offset))
+        if self._recorder is not None and self._step is not None:
+            self._recorder.take(now, self._measured, sent, self._step, motion.way.clock(motion.play_out.parameter))
+        if motion.law.stopped and not braking and not self._standing:
+            self._settled = self._settled + self.period if motion.rests() else 0.0
+            if self._settled >= _SETTLED:
+                self._seat()
+        else:
+            self._settled = 0.0
+        self._still = self._still + self.period if self._holds() else 0.0
+        if self._still > self.options.give_up_after and self._step is not None:
+            self._end(self._step.explain(), failed=True)
+
+    def _holds(self) -> bool:
+        """Whether the controller does not go on by itself; behind a robot that stopped it is not asked."""
+        motion, step = self._motion, self._step
+        assert motion is not None
+        waits = motion.law.stopped and not self._standing
+        return step is not None and not waits and step.status in (Status.HOLDING, Status.FAULT, Status.BLOCKED)
+
+    def _look(self, now: float) -> Array:
+        """Read all robots; say which of them have stopped (robots,)."""
+        motion = self._motion
+        assert motion is not None
+        said = np.zeros(len(self.robots), dtype=bool)
+        for k, watch in enumerate(self.watches):
+            watch.read(self._time)
+            joints = watch.robot.joints
+            condition = watch.condition()
+            said[k] = condition in STANDS
+            if condition is Condition.FAULT:
+                self._end(f"robot '{watch.robot.name}' says fault", failed=True)
+            if watch.missing(now):
+                motion.lose(k)
+                self._missing[watch.robot.name] += 1
+                self._off[joints] = self._measured[joints] = np.nan
+                if watch.age(now) > self.options.gone_after:
+                    self._end(
+                        f"robot '{watch.robot.name}' told no state for {1e3 * watch.age(now):.0f} ms, and where it "
+                        "stands is not known",
+                        failed=True,
+                    )
+                continue
+            assert watch.state is not None
+            q, moment = watch.aligned(now)
+            self._measured[joints] = q
+            if watch.fresh or np.isnan(self._off[joints]).any():
+                self._off[joints] = motion.watch(k, watch.state, watch.moment, q, moment)
+        self._looked += 1
+        if self._looked % _LOOK == 0:
+            self._looks.append(self._measured.copy())
+        return said
+
+    def _move_bodies(self, now: float) -> None:
+        if self._bodies is None:
+            return
+        for name, T_world_body, twist, stamp in self._bodies.read():
+            age = now - stamp
+            if not 0.0 <= age <= self.options.gone_after:
+                continue
+            T, v = as_placement(T_world_body, f"bodies: {name}"), np.asarray(twist, dtype=float)
+            moved = pin.SE3(pin.exp3(v[3:] * age) @ T.rotation, T.translation + v[:3] * age)
+            for clearance in self._clearances:
+                clearance.move(name, moved, v)
+
+    def _advance(self) -> None:
+        """The controller's next command becomes the next point of the way."""
+        motion, cell = self._motion, self.cell
+        assert motion is not None
+        x = motion.way.last
+        missing = np.isnan(self._off)
+        share = self.controller.dt / (self.options.deviation_time + self.controller.dt)
+        # Behind an arm that stands there is nothing to correct.
+        off = np.where(missing | self._standing, 0.0, self._off)
+        self._seen += (1.0 if self._standing else share) * (off - self._seen)
+        measured = cell.configuration_of(np.where(missing, np.nan, x + self._seen))
+        if self._wrenches:
+            step = self.controller.step(measured, wrenches=self._felt())
+        else:
+            step = self.controller.step(measured)
+        self._step = step
+        self._statuses[step.status.value] += 1
+        positions = cell.positions(step.q_next)
+        motion.way.append(x + turned(cell, positions - self._last_q), step.clock_next)
+        self._last_q = positions
+        if step.finished and not math.isfinite(self._finish):
+            self._finish = motion.way.head
+
+    def _felt(self) -> Array:
+        """The wrench of each arm on the object (N, 6); NaN where it is missing or old."""
+        wrenches = np.full((len(self.cell), 6), np.nan)
+        for watch in self.watches:
+            if watch.state is None or watch.missing(self._now) or watch.state.wrench is None:
+                continue
+            wrench = watch.state.wrench
+            for k in watch.robot.arms:
+                own = wrench.get(self.cell.arm_names[k]) if isinstance(wrench, Mapping) else wrench
+                if own is not None:
+                    wrenches[k] = own
+        sizes = np.linalg.norm(wrenches[:, :3], axis=1)
+        if np.isfinite(sizes).any():
+            self._force = max(float(np.nanmax(sizes)), 0.0 if math.isnan(self._force) else self._force)
+        return wrenches
+
+    def _seat(self) -> None:
+        """All stand where the slowest stands: the controller begins again there, paused."""
+        motion = self._motion
+        assert motion is not None
+        clock = motion.clock()
+        q = self.cell.configuration_of(motion.shared.point)
+        self.controller.pause()
+        self.controller.reset(q, clock=clock)
+        self._last_q = self.cell.positions(q)
+        motion.restart()
+        self._settled, self._finish, self._arrived = 0.0, math.inf, math.nan
+        self._stops += 1
+        self._standing = True
+
+    def _over(self) -> bool:
+        motion = self._motion
+        assert motion is not None
+        if self._ending:
+            return motion.speed() < 1e-6
+        if not math.isfinite(self._finish):
+            return False
+        if math.isnan(self._arrived):
+            rest = motion.way.value(self._finish) - motion.way.value(motion.play_out.parameter)
+            if np.abs(rest).max() < _ARRIVED:
+                self._arrived = self._now
+        if motion.play_out.parameter >= self._finish and motion.speed() < _SLOW_END:
+            self._end("the object is at the end of its path", failed=False)
+        return False
+
+    def _report(self, time: float, periods: int, missed: int, late: Array) -> LoopReport:
+        motion = self._motion
+        assert motion is not None
+        names = [robot.name for robot in self.robots]
+        return LoopReport(
+            finished=not self._failed,
+            reason=self._ending,
+            time=time,
+            lost_time=dict(zip(names, motion.law.lost.tolist(), strict=True)),
+            slowest_rate=self._slowest,
+            stops=self._stops,
+            periods=periods,
+            late=int((late > 0.5 * self.period).sum()),
+            missed=missed,
+            lateness=(float(np.median(late)), float(np.percentile(late, 99.0)), float(late.max())),
+            lost={watch.robot.name: watch.lost for watch in self.watches},
+            missing={name: self._missing[name] for name in names},
+            lags=dict(zip(names, motion.lag.tolist(), strict=True)),
+            commands=periods,
+            guarded=motion.play_out.guarded,
+            velocity=motion.velocity_share,
+            acceleration=motion.acceleration_share,
+            apart=largest_apart(self.cell, self.controller.grasp, self._looks),
+            largest_force=self._force,
+            statuses=dict(self._statuses),
+            process=self._process,
+        )

@@ -1,0 +1,51 @@
+"""The loop's process: what of the operating system keeps it on time. All of it is asked for, reported, never fatal."""
+
+from __future__ import annotations
+
+import ctypes
+import gc
+import os
+from collections.abc import Callable
+
+#: mlockall: what is in memory now, and what will be.
+_CURRENT, _FUTURE = 1, 2
+
+
+def prepare_process(*, realtime: int | None, lock_memory: bool, core: int | None) -> dict[str, str]:
+    """Freeze Python's garbage collection, and ask for what else is wanted.
+
+    Args:
+        realtime: priority of the FIFO scheduler, 1 to 99; None for the ordinary one.
+        lock_memory: keep all memory out of the swap.
+        core: the only core to run on; None for any.
+
+    Returns:
+        What came of each, in words.
+    """
+    gc.collect()
+    gc.freeze()
+    found = {"garbage collection": "frozen"}
+    if realtime is not None:
+        found["realtime"] = _tried(lambda: _fifo(realtime), f"FIFO, priority {realtime}")
+    if lock_memory:
+        found["memory"] = _tried(_lock_memory, "locked")
+    if core is not None:
+        found["core"] = _tried(lambda: os.sched_setaffinity(0, {core}), f"core {core}")
+    return found
+
+
+def _tried(call: Callable[[], object], done: str) -> str:
+    try:
+        call()
+    except (OSError, AttributeError, ValueError) as error:
+        return f"not granted ({error})"
+    return done
+
+
+def _fifo(priority: int) -> None:
+    os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(priority))
+
+
+def _lock_memory() -> None:
+    if ctypes.CDLL(None, use_errno=True).mlockall(_CURRENT | _FUTURE) != 0:
+        raise OSError(ctypes.get_errno(), os.strerror(ctypes.get_errno()))

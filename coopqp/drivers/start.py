@@ -1,0 +1,101 @@
+"""Before the motion: all robots are connected and ready, and the controller begins where they stand."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from coopqp.drivers.driver import STANDS, DriverError
+from coopqp.drivers.robots import turned
+from coopqp.drivers.timing import LoopTime
+from coopqp.drivers.watch import RobotWatch
+from coopqp.model.cell import RobotCell
+from coopqp.spatial import Array
+
+
+def connect(watches: Sequence[RobotWatch], time: LoopTime, *, longest: float, period: float) -> None:
+    """Connect all robots, and wait for their first states for ``longest`` [s].
+
+    Raises:
+        DriverError: a robot cannot be reached, or tells no state.
+    """
+    for watch in watches:
+        watch.robot.driver.connect()
+    limit = time.now() + longest
+    while True:
+        now = time.now()
+        for watch in watches:
+            watch.read(time)
+        silent = [watch.robot.name for watch in watches if watch.state is None]
+        if not silent:
+            return
+        if now > limit:
+            raise DriverError(
+                f"robot '{silent[0]}' tells no state within {longest:g} s. Look at its address, its network and "
+                "whether its program runs."
+            )
+        time.sleep_until(now + period)
+
+
+def tell_targets(watches: Sequence[RobotWatch]) -> bool:
+    """Whether all robots tell what their servos track."""
+    return all(watch.state is not None and watch.state.target is not None for watch in watches)
+
+
+def unready(watches: Sequence[RobotWatch], *, wrenches: bool) -> list[str]:
+    """Why robots are not driven as they are, a sentence each; ``wrenches``: the controller needs them."""
+    said = []
+    for watch in watches:
+        if watch.condition() in STANDS:
+            said.append(f"robot '{watch.robot.name}' says {watch.condition().value}. Release it first.")
+        if wrenches and watch.state is not None and watch.state.wrench is None:
+            said.append(f"robot '{watch.robot.name}' tells no wrench, and a ForceController needs one for each arm.")
+    return said
+
+
+def stand(
+    cell: RobotCell, watches: Sequence[RobotWatch], time: LoopTime, *, rest_time: float, period: float
+) -> tuple[list[Array], Array]:
+    """Configurations (nq,) that are measured in a time [s]; and what the servos track (nv,), measured where untold."""
+    readings, targets = [], np.full(cell.nv, np.nan)
+    until = time.now() + rest_time
+    while True:
+        now = time.now()
+        x = np.full(cell.nv, np.nan)
+        for watch in watches:
+            watch.read(time)
+            assert watch.state is not None
+            joints = watch.robot.joints
+            x[joints] = watch.state.q
+            targets[joints] = watch.state.q if watch.state.target is None else watch.state.target
+        readings.append(cell.configuration_of(x))
+        if now >= until:
+            return readings, targets
+        time.sleep_until(now + period)
+
+
+def begin(
+    controller: Any, watches: Sequence[RobotWatch], readings: Sequence[Array], targets: Array, *, tolerance: float
+) -> Array:
+    """Reset the controller where the robots stand; return its first command (nv,) [rad or m].
+
+    Raises:
+        DriverError: it is further than the tolerance from where a servo is.
+    """
+    cell: RobotCell = controller.cell
+    q = cell.average(readings)
+    if tell_targets(watches):
+        controller.reset(q, commanded=cell.configuration_of(targets))
+    else:
+        controller.reset(q)
+    first = cell.positions(getattr(controller, "controller", controller).commanded)
+    away = np.abs(turned(cell, first - targets))
+    if away.max() > tolerance:
+        j = int(np.argmax(away))
+        raise DriverError(
+            f"not driven: the first command of joint {cell.joint_names[j]} is {1e3 * away[j]:.1f} mrad from where its "
+            f"servo is, and may be {1e3 * tolerance:.1f}. Move the arms to the start."
+        )
+    return first

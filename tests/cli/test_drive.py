@@ -1,0 +1,102 @@
+"""``coopqp drive``: what it reads and refuses without --enable, and a run with it, on simulated robots."""
+
+from __future__ import annotations
+
+import signal
+import subprocess
+import sys
+
+import pytest
+from places import CELL_FILES
+
+from coopqp import Recording
+from coopqp.cli.main import main
+
+pytestmark = [pytest.mark.slow, pytest.mark.filterwarnings("ignore::coopqp.errors.StiffnessWarning")]
+TWO = CELL_FILES / "two_robots.toml"
+
+
+@pytest.fixture
+def quick(tmp_path):
+    """The example, faster."""
+    file = tmp_path / "two_robots.toml"
+    file.write_text(TWO.read_text().replace("duration_s = 2.0", "duration_s = 0.8"))
+    return file
+
+
+def test_a_dry_run_says_what_it_reads_and_sends_nothing(quick, capsys, monkeypatch):
+    from coopqp.cli import drive
+    from coopqp.drivers import SimDriver
+
+    sent = []
+    monkeypatch.setattr(SimDriver, "send", lambda self, command: sent.append(command))
+    monkeypatch.setattr(drive, "_READING", 0.2)
+    assert main(["drive", str(quick), "--speed", "1"]) == 0
+    said = capsys.readouterr().out
+    assert not sent
+    for words in ("left", "right", "from the start [mrad]", "in simulation, in real time: finished", "late p50"):
+        assert words in said
+    assert said.rstrip().endswith("nothing would be refused")
+
+
+def test_a_dry_run_says_what_would_be_refused(quick, capsys, monkeypatch):
+    from coopqp.cli import drive
+
+    monkeypatch.setattr(drive, "_READING", 0.05)
+    quick.write_text(quick.read_text().replace(", acceleration_deg_per_s2 = 600", ""))
+    assert main(["drive", str(quick)]) == 3
+    out, err = capsys.readouterr()
+    assert "acceleration limits" in err
+    assert "would be refused" in out
+    assert main(["drive", str(quick), "--enable", "two_robots"]) == 3
+
+
+def test_an_enabled_run_finishes_and_is_recorded(quick, capsys, tmp_path):
+    file = tmp_path / "run.npz"
+    given = ["drive", str(quick), "--enable", "two_robots", "--speed", "1", "--record", str(file)]
+    assert main(given) == 0
+    said = capsys.readouterr().out
+    assert "the path takes" in said
+    assert "finished after" in said
+    assert Recording.load(file).metadata["plant"] == "robots"
+    assert main(given) == 2  # the file is there
+
+
+def test_bad_input_is_refused_before_anything_is_started(quick, capsys, tmp_path, monkeypatch):
+    monkeypatch.setattr("coopqp.drivers.sim.SimDriver.connect", lambda self: pytest.fail("connected"))
+    text = quick.read_text()
+    for given, words in (
+        (["--enable", "another"], "the cell's name is 'two_robots'"),
+        (["--speed", "0"], "--speed"),
+        (["--speed", "1.5"], "--speed"),
+        (["--record", "x.npz"], "without --enable"),
+        (["--enable", "two_robots", "--record", "x.mcap"], ".npz"),
+    ):
+        assert main(["drive", str(quick), *given]) == 2, given
+        assert words in capsys.readouterr().err
+    for change, words in (
+        (("[drivers.right]", "[drivers.other]"), "no arm named 'other'"),
+        (('kind = "sim"\nperiod = 0.004\nlag = 0.010', 'kind = "simm"'), "simm"),
+        (("loss = 0.001", "loss = 1.0"), "loss"),
+    ):
+        assert change[0] in text
+        quick.write_text(text.replace(*change))
+        assert main(["drive", str(quick)]) == 2
+        assert words in capsys.readouterr().err
+    quick.write_text(text[: text.index("[drivers.right]")] + text[text.index("[grasp]") :])
+    assert main(["drive", str(quick)]) == 2
+    assert "arm 'right' has no driver" in capsys.readouterr().err
+
+
+def test_ctrl_c_brakes_and_ends_with_130():
+    with subprocess.Popen(
+        [sys.executable, "-u", "-c", "import sys; from coopqp.cli.start import main; sys.exit(main())", "drive",
+         str(TWO), "--enable", "two_robots"],
+        stdout=subprocess.PIPE, text=True,
+    ) as run:  # fmt: skip
+        line = run.stdout.readline()
+        assert "the path takes" in line
+        run.send_signal(signal.SIGINT)
+        rest = run.stdout.read()
+    assert run.returncode == 130
+    assert "interrupted" in rest

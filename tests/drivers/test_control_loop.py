@@ -1,0 +1,372 @@
+"""The control loop follows the slowest arm, stops with it and goes on by hand: simulated robots, in their own time."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from robots import drive, joints_of, simulated_robots
+
+from coopqp import InvalidInputError, QPController, SupervisionOptions
+from coopqp.control import StallBound
+from coopqp.drivers import (
+    Condition,
+    ControlLoop,
+    DriverError,
+    LoopOptions,
+    ManualTime,
+    RobotState,
+    SimulatedRobot,
+)
+from coopqp.drivers.timing import ClockOffset
+from coopqp.errors import StiffnessWarning
+from coopqp.scenarios import mixed_cell, paper_lift
+
+pytestmark = pytest.mark.filterwarnings("ignore::coopqp.errors.StiffnessWarning")
+_LAGS = (0.007, 0.032, 0.047)
+_KEPT = 1.0 + 1e-9
+
+
+@pytest.fixture(scope="module")
+def lift():
+    return paper_lift(time_law="quintic", duration=1.5)
+
+
+@pytest.fixture(scope="module")
+def cell(lift):
+    return lift.cell.with_limits(acceleration=10.0)
+
+
+def _kept(run):
+    """What the loop counted, and what its robots were sent, keep the limits."""
+    assert run.report.velocity <= _KEPT
+    assert run.report.acceleration <= _KEPT
+
+
+def test_lags_that_are_told_cost_neither_time_nor_distance(cell, lift):
+    run = drive(cell, lift, _LAGS)
+    assert run.report.finished, run.report.reason
+    assert run.report.time <= 1.6
+    assert run.apart.max() <= 3e-4
+    _kept(run)
+
+
+def test_lags_that_nobody_tells_are_learnt(cell, lift):
+    run = drive(cell, lift, _LAGS, told_lag=None)
+    assert run.report.finished, run.report.reason
+    np.testing.assert_allclose(list(run.report.lags.values()), _LAGS, atol=2e-3)
+    assert run.report.time <= 1.7
+    assert run.apart.max() <= 1e-3
+    _kept(run)
+
+
+def test_the_fast_arms_wait_for_delays(cell, lift):
+    time, delays = ManualTime(), (0.0, 0.010, 0.0043)
+    robots = simulated_robots(cell, lift.q_start, time, (0.0,) * 3)
+    for robot, delay in zip(robots.values(), delays, strict=True):
+        robot.delay = robot.servo.delay = delay
+    controller = QPController(cell, lift.grasp, lift.path, dt=0.002)
+    report = ControlLoop(controller, robots, time=time).run()
+    assert report.finished
+    assert report.apart <= 2e-4
+
+
+def test_a_loop_on_the_robots_own_clocks_with_latency(cell, lift):
+    run = drive(cell, lift, _LAGS, clock_offset=1234.5, latency=0.003)
+    assert run.report.finished
+    assert run.apart.max() <= 1e-4
+
+
+def _slow(k, speed):
+    return lambda robots, loop: list(robots.values())[k].servo.limit(speed)
+
+
+def test_an_arm_at_half_its_speed_slows_the_others(cell, lift):
+    free = drive(cell, lift, _LAGS)
+    own = free.q[:, cell.v_slices[1]]
+    fastest = np.linalg.norm(np.diff(own, axis=0), axis=1).max() / 0.002
+    run = drive(cell, lift, _LAGS, events=[(0.4, _slow(1, 0.5 * fastest)), (1.2, _slow(1, None))])
+    assert run.report.finished, run.report.reason
+    assert run.report.time > free.report.time + 0.2
+    assert run.apart.max() <= 2e-3
+    assert max(run.report.lost_time, key=run.report.lost_time.get) == "slave_1"
+    _kept(run)
+
+
+def _halt(k, says=Condition.RUNNING):
+    return lambda robots, loop: list(robots.values())[k].servo.halt(says=says)
+
+
+def _release(k):
+    return lambda robots, loop: list(robots.values())[k].servo.release()
+
+
+def _resume(robots, loop):
+    loop.resume()
+
+
+@pytest.mark.parametrize("says", [Condition.RUNNING, Condition.PROTECTIVE])
+def test_the_others_go_back_to_an_arm_that_stops_and_on_by_hand(cell, lift, says):
+    run = drive(cell, lift, (0.0,) * 3, events=[(0.7, _halt(1, says)), (2.2, _release(1)), (2.4, _resume)])
+    assert run.report.finished, run.report.reason
+    assert run.report.stops == 1
+    assert run.report.slowest_rate < 0.0
+    times = run.time[::5]
+    assert run.apart[(times > 1.3) & (times < 2.2)].max() <= 5e-4
+    assert run.apart[times > 2.2].max() <= 1e-3
+    stands = run.q[(run.time > 2.0) & (run.time < 2.2)]
+    assert np.ptp(stands, axis=0).max() < 1e-5
+    assert run.time[-1] > 2.4 + 0.5
+    _kept(run)
+
+
+def test_a_robot_that_is_silent_ends_the_run_near_the_others(cell, lift):
+    run = drive(
+        cell, lift, (0.0,) * 3, constraints=[StallBound(0.005, dt=0.002)],
+        events=[(0.7, lambda robots, loop: robots["slave_1"].kill())],
+    )  # fmt: skip
+    assert not run.report.finished
+    assert "slave_1" in run.report.reason
+    assert "not known" in run.report.reason
+    held = run.statuses.index("holding")
+    assert run.time[held] - 0.7 <= 0.015
+    assert run.apart.max() <= 0.005
+    speed = np.abs(np.diff(run.sent, axis=0)).max(axis=1) / 0.002
+    assert speed[-1] < 1e-6
+    _kept(run)
+
+
+def test_operators_calls_are_made_between_periods(cell, lift):
+    seen = []
+
+    def pause(robots, loop):
+        loop.pause()
+        seen.append(loop.controller.paused)
+
+    run = drive(cell, lift, _LAGS, events=[(0.5, pause), (1.2, _resume)])
+    assert seen == [False]
+    assert run.report.finished
+    assert run.report.time > 1.5 + 0.4
+    assert run.report.statuses["paused"] > 100
+    _kept(run)
+
+
+def test_stop_brakes_all_arms_together(cell, lift):
+    run = drive(cell, lift, (0.0,) * 3, events=[(0.7, lambda robots, loop: loop.stop())])
+    assert not run.report.finished
+    assert "operator" in run.report.reason
+    assert run.apart.max() <= 1e-3
+    assert np.abs(run.sent[-1] - run.sent[-2]).max() < 1e-8
+    _kept(run)
+
+
+def test_without_a_heartbeat_the_arms_brake(cell, lift):
+    run = drive(cell, lift, (0.0,) * 3, options=LoopOptions(heartbeat=0.1))
+    assert "heartbeat" in run.report.reason
+    assert run.time[-1] < 0.5
+    with pytest.raises(InvalidInputError, match="heartbeat"):
+        LoopOptions(heartbeat=0.5)
+
+
+def test_a_first_state_that_is_fresh_is_no_deviation(cell, lift):
+    """The robots' states come between the start and the first period."""
+    run = drive(cell, lift, (0.0,) * 3, period=0.0007)
+    assert run.report.finished
+    assert set(run.report.statuses) == {"tracking"}
+
+
+class _Stubborn:
+    """A driver whose send fails after a while."""
+
+    def __init__(self, robot, at):
+        self._robot, self._left = robot, at
+        self.joint_names, self.period, self.lag, self.delay, self.commands = (
+            robot.joint_names, robot.period, robot.lag, robot.delay, robot.commands,
+        )  # fmt: skip
+        self.connect, self.read = robot.connect, robot.read
+        self.stops = 0
+
+    def send(self, command):
+        self._left -= 1
+        if self._left < 0:
+            raise OSError("cable out")
+        self._robot.send(command)
+
+    def stop(self):
+        self.stops += 1
+        self._robot.stop()
+
+
+def test_after_an_error_every_driver_is_stopped_and_nothing_is_sent(cell, lift):
+    time = ManualTime()
+    robots = {name: _Stubborn(r, 50) for name, r in simulated_robots(cell, lift.q_start, time, (0.0,) * 3).items()}
+    loop = ControlLoop(QPController(cell, lift.grasp, lift.path, dt=0.002), robots, time=time)
+    with pytest.raises(OSError, match="cable"):
+        loop.run()
+    assert [robot.stops for robot in robots.values()] == [1, 1, 1]
+
+
+# -- what is refused ---------------------------------------------------------------------------------------------------
+
+
+def _loop(cell, scenario, change=None, options=None, **robots):
+    time = ManualTime()
+    arms = simulated_robots(cell, scenario.q_start, time, (0.0,) * len(cell), **robots)
+    if change is not None:
+        arms = change(arms, time) or arms
+    controller = QPController(cell, scenario.grasp, scenario.path, dt=0.002, options=options)
+    return ControlLoop(controller, arms, time=time), arms
+
+
+def test_cells_without_acceleration_limits_are_refused(lift):
+    loop, robots = _loop(lift.cell, lift)
+    with pytest.raises(DriverError, match="without acceleration limits"):
+        loop.run()
+    assert all(robot.stopped for robot in robots.values())
+
+
+def test_blind_position_servos_are_refused_unless_their_stiffness_is_told(cell, lift):
+    loop, _ = _loop(cell, lift, tells_target=False)
+    assert any("stiffness" in line for line in loop.refused())
+    told, _ = _loop(cell, lift, tells_target=False, options={"supervision": SupervisionOptions(stiffness=1e5)})
+    assert told.refused() == []
+    late, _ = _loop(cell, lift, options={"supervision": SupervisionOptions(stiffness=1e5, servo_delay=0.006)})
+    assert any("servo_delay" in line for line in late.refused())
+
+
+def test_a_first_command_far_from_the_servos_is_refused(cell, lift):
+    """The first command is where the arms are measured if one tells no target; another's servo is elsewhere."""
+
+    def sag(robots, time):
+        read = robots["master"].read
+
+        def sagged():
+            state = read()
+            return None if state is None else replace(state, target=state.q + 0.006)
+
+        robots["master"].read = sagged
+        robots["slave_1"]._tells = False
+
+    options = {"supervision": SupervisionOptions(stiffness=1e5)}
+    loop, _ = _loop(cell, lift, sag, options)
+    with pytest.raises(DriverError, match=r"master/.* is 6\.0 mrad"):
+        loop.run()
+
+
+def test_other_joints_are_refused_and_names_decide_their_order(cell, lift):
+    joints = joints_of(cell, 0)
+
+    def turned(robots, time):
+        x = cell.positions(lift.q_start)[cell.v_slices[0]]
+        robots["master"] = SimulatedRobot(joints[::-1], x[::-1], time=time)
+
+    loop, _ = _loop(cell, lift, turned)
+    assert loop.run().finished
+    for change, words in (
+        (lambda r, t: {"master": r["master"]}, "no driver has"),
+        (lambda r, t: {**r, "other": r["master"]}, "no joint 'other/"),
+        (lambda r, t: {**r, "master": SimulatedRobot([*joints, "extra"], [0.0] * 7, time=t)}, "extra"),
+        (lambda r, t: {**r, "master": SimulatedRobot(joints[:5], [0.0] * 5, time=t)}, "no driver has"),
+        (lambda r, t: {**r, "slave_1": 3}, "without"),
+    ):
+        with pytest.raises(InvalidInputError, match=words):
+            _loop(cell, lift, change)
+
+
+def test_limits_wider_than_the_robots_are_refused(cell, lift):
+    def narrow(robots, time):
+        robots["slave_2"].limits = cell.arms[2].limits.replace(acceleration=5.0)
+
+    loop, _ = _loop(cell, lift, narrow)
+    assert any("acceleration limit 10 is wider" in line for line in loop.refused())
+
+
+def test_robots_that_say_nothing_or_stand_are_refused(cell, lift):
+    def silent(robots, time):
+        robots["slave_1"].silent = True
+
+    loop, _ = _loop(cell, lift, silent)
+    with pytest.raises(DriverError, match="'slave_1' tells no state"):
+        loop.run()
+
+    def stands(robots, time):
+        robots["slave_1"].servo.halt(says=Condition.PROTECTIVE)
+
+    loop, _ = _loop(cell, lift, stands)
+    assert any("protective stop" in line for line in loop.refused())
+
+
+def test_continuous_joints_go_round():
+    scenario = mixed_cell(duration=1.5)
+    turning = scenario.cell.with_limits(acceleration=20.0)
+    assert turning.continuous.any()
+    run = drive(turning, scenario, (0.01, 0.03, 0.02, 0.0))
+    assert run.report.finished, run.report.reason
+    assert run.apart.max() <= 3e-4
+
+
+# -- states ------------------------------------------------------------------------------------------------------------
+
+
+def test_bad_states_are_no_states(cell, lift):
+    """Another number of joints, NaN, a stopped clock and stamps that come twice are left out; the run goes on."""
+    spoilt = {"number": 0}
+
+    def spoil(robots, time):
+        read = robots["slave_2"].read
+
+        def worse():
+            state = read()
+            spoilt["number"] += 1
+            if state is None or spoilt["number"] % 7 or spoilt["number"] < 100:
+                return state
+            kind = spoilt["number"] // 7 % 3
+            if kind == 0:
+                return RobotState(np.full(6, np.nan), state.velocity, state.stamp, target=state.target)
+            if kind == 1:
+                return RobotState(state.q[:5], state.velocity, state.stamp)
+            return RobotState(state.q, state.velocity, state.stamp - 0.5, target=state.target)
+
+        robots["slave_2"].read = worse
+
+    loop, _ = _loop(cell, lift, spoil)
+    report = loop.run()
+    assert report.finished, report.reason
+    assert loop.watches[2].refused > 50
+    assert report.acceleration <= _KEPT
+
+
+def test_the_offset_of_a_clock_is_the_least_that_was_seen():
+    clock, late = ClockOffset(window=10), [0.005, 0.003, 0.004, 0.002, *[0.006] * 9]
+    found = [clock.take(10.0 + i, 3.0 + i + x) for i, x in enumerate(late)]
+    expected = [min(late[max(0, i - 9) : i + 1]) - 7.0 for i in range(len(late))]
+    np.testing.assert_allclose(found, expected, atol=1e-12)
+
+
+def test_a_stall_before_a_reading_makes_no_state_old(cell, lift):
+    """A driver that is held up for 60 ms once: its next states are not taken for old ones."""
+
+    def stall(robots, time):
+        robot, number = robots["slave_2"], [0]
+        read = robot.read
+
+        def late():
+            number[0] += 1
+            if number[0] == 100:
+                time.sleep_until(time.now() + 0.06)
+            return read()
+
+        robot.read = late
+
+    loop, _ = _loop(cell, lift, stall)
+    report = loop.run()
+    assert report.finished, report.reason
+    assert report.missing["slave_2"] <= 2
+    assert report.missed >= 25
+
+
+def test_starts_warn_as_those_of_the_controller_do(cell, lift):
+    loop, _ = _loop(cell, lift)
+    with pytest.warns(StiffnessWarning):
+        loop.run()

@@ -1,0 +1,120 @@
+"""Whatever the rates, lags and delays: what is sent keeps velocity and acceleration limits."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given, settings, strategies as st
+
+from coopqp.drivers.command_spline import CommandSpline
+from coopqp.drivers.limited_clock import LimitedClock
+from coopqp.drivers.play_out import PlayOut
+
+_JOINTS, _PERIOD, _ROUNDING = 4, 0.002, 1e-9
+
+
+def _commands(rng, velocity, acceleration, number):
+    """Commands of a controller that uses its limits up: it changes its mind every 80 ms."""
+    x, speed, goal, found = np.zeros(_JOINTS), np.zeros(_JOINTS), np.zeros(_JOINTS), [np.zeros(_JOINTS)]
+    for i in range(number):
+        if i % 40 == 0:
+            goal = rng.uniform(-1.0, 1.0, _JOINTS) * velocity
+        most = acceleration * _PERIOD
+        speed = speed + np.clip(goal - speed, -most, most)
+        x = x + speed * _PERIOD
+        found.append(x)
+    return found
+
+
+def _excess(sent, velocity, acceleration):
+    steps = np.diff(np.array(sent), axis=0)
+    fastest = np.abs(steps).max(axis=0) / (velocity * _PERIOD)
+    hardest = np.abs(np.diff(steps, axis=0)).max(axis=0) / (acceleration * _PERIOD**2)
+    return max(fastest.max(), hardest.max()) - 1.0
+
+
+def _drive(seed, share, number=500):
+    """Points of the clock, mixtures and commands of a run with hostile rates, and its parts."""
+    rng = np.random.default_rng(seed)
+    velocity, acceleration = rng.uniform(0.2, 2.0, _JOINTS), rng.uniform(0.8, 40.0, _JOINTS)
+    commands = _commands(rng, velocity, acceleration, number)
+    spline = CommandSpline(commands[0], clock=0.0, period=_PERIOD)
+    clock = LimitedClock(spline, period=_PERIOD, velocity=velocity, acceleration=acceleration)
+    lag, delay = rng.uniform(0.005, 0.15, _JOINTS), rng.uniform(0.0, 29.0, _JOINTS) * _PERIOD
+    parts = {"delay": delay, "velocity": velocity, "acceleration": acceleration, "period": _PERIOD}
+    play_out = PlayOut(commands[0], lag=lag, **parts)
+    alone = PlayOut(commands[0], lag=lag, **parts)
+    rest = [commands[0]] * 2
+    points, mixtures, sent = list(rest), list(rest), list(rest)
+    used, wanted = 1, 1.0
+    for i in range(number):
+        if i % int(rng.integers(1, 60)) == 0:
+            wanted = rng.uniform(-1.0, 1.0) if rng.random() < 0.5 else 1.0
+        while spline.head < clock.sigma + 1.001 * _PERIOD and used < len(commands):
+            spline.append(commands[used], 0.0)
+            used += 1
+        if used == len(commands):
+            break
+        points.append(clock.step(wanted))
+        mixtures.append(alone.mixture(points[-1]))
+        sent.append(play_out.step(points[-1], clock.sigma, spline, lag, share))
+    return points, mixtures, sent, velocity, acceleration
+
+
+@settings(max_examples=10, deadline=None)
+@given(st.integers(0, 2**32 - 1))
+def test_the_clock_the_mixtures_and_what_is_sent_keep_the_limits_at_hostile_rates(seed):
+    points, mixtures, sent, velocity, acceleration = _drive(seed, 0.05)
+    assert _excess(points, velocity, acceleration) <= _ROUNDING
+    assert _excess(mixtures, velocity, acceleration) <= _ROUNDING  # without the cut to the limits
+    assert _excess(sent, velocity, acceleration) <= _ROUNDING
+
+
+def test_an_addition_that_asks_for_too_much_is_cut():
+    _, _, sent, velocity, acceleration = _drive(3, 0.5)
+    assert _excess(sent, velocity, acceleration) <= _ROUNDING
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_the_curve_stays_near_its_commands_and_its_clock_runs_with_them(seed):
+    rng = np.random.default_rng(seed)
+    velocity, acceleration = np.full(_JOINTS, 1.0), np.full(_JOINTS, 10.0)
+    commands = _commands(rng, velocity, acceleration, 200)
+    spline = CommandSpline(commands[0], clock=0.0, period=_PERIOD, size=64)
+    for i, x in enumerate(commands[1:], 1):
+        spline.append(x, i * _PERIOD)
+    sigma = np.arange(190, 200) * _PERIOD
+    middle = spline.values(sigma + 0.5 * _PERIOD)  # where a point's weight is largest
+    at = np.array(commands)[np.round(sigma / _PERIOD).astype(int) - 1]
+    assert np.abs(middle - at).max() <= acceleration[0] * _PERIOD**2 / 8.0 + 1e-15
+    assert spline.clock(199.5 * _PERIOD) == pytest.approx(198.0 * _PERIOD)
+    for s in sigma:
+        h = 1e-7
+        slope = (spline.value(s + h) - spline.value(s - h)) / (2.0 * h)
+        np.testing.assert_allclose(spline.slope(s), slope, atol=1e-6)
+        np.testing.assert_allclose(spline.value(s), spline.values(np.array([s]))[0], rtol=0, atol=1e-15)
+    assert spline.tail > 0.0
+
+
+def test_servos_with_different_lags_stand_at_the_same_point_at_any_rate():
+    """Against an integration of ẏ = (u − y)/L that knows nothing of the play-out."""
+    velocity, acceleration = np.full(_JOINTS, 2.0), np.full(_JOINTS, 20.0)
+    lag = np.array([0.004, 0.02, 0.05, 0.11])
+    start = np.zeros(_JOINTS)
+    spline = CommandSpline(start, clock=0.0, period=_PERIOD)
+    limits = {"velocity": velocity, "acceleration": acceleration, "period": _PERIOD}
+    clock = LimitedClock(spline, **limits)
+    play_out = PlayOut(start, lag=lag, delay=np.zeros(_JOINTS), **limits)
+    y, last, apart = start, start, 0.0
+    for i in range(1500):
+        while spline.head < clock.sigma + 1.001 * _PERIOD:
+            t = (spline.head / _PERIOD + 2) * _PERIOD
+            spline.append(np.full(_JOINTS, 0.3 * (1.0 - np.cos(2.0 * t))), t)
+        c = clock.step(1.0 if i % 400 < 250 else 0.2)
+        sent = play_out.step(c, clock.sigma, spline, lag, 0.0)  # the mixture alone
+        for part in np.linspace(0.0, 1.0, 20, endpoint=False):
+            u = last + (part + 0.025) * (sent - last)
+            y = y + (1.0 - np.exp(-_PERIOD / 20.0 / lag)) * (u - y)
+        last = sent
+        apart = max(apart, float(np.ptp(y)))
+    assert apart < 3.0 * acceleration[0] * _PERIOD**2  # straight lines between commands; lags alone: 0.05 rad

@@ -1,0 +1,137 @@
+"""The driver sim: a robot in another process over loopback. The tests wait on states, not on clocks."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from robots import joints_of
+
+from coopqp import InvalidInputError, QPController
+from coopqp.drivers import Command, Condition, ControlLoop, DriverError
+from coopqp.drivers.packets import pack_command, pack_state, unpack_command, unpack_state
+from coopqp.drivers.sim import SimDriver, SimOptions
+from coopqp.scenarios import dual_arm7
+
+pytestmark = [pytest.mark.slow, pytest.mark.filterwarnings("ignore::coopqp.errors.StiffnessWarning")]
+
+
+@pytest.fixture
+def robot():
+    driver = SimDriver(["a", "b"], [0.1, -0.2], SimOptions(clock_offset=1000.0, lag=0.0))
+    driver.connect()
+    yield driver
+    driver.close()
+
+
+def _until(driver, holds):
+    """The first state that is as it should be; the suite's own limit ends a wait in vain."""
+    while True:
+        state = driver.read()
+        if state is not None and holds(state):
+            return state
+
+
+def test_packets_come_back_as_they_were():
+    q, v, t = np.arange(3.0), np.arange(3.0) + 0.5, np.arange(3.0) - 7.0
+    state = unpack_state(pack_state(12.5, Condition.PROTECTIVE, q, v, t), 3)
+    assert (state.stamp, state.condition) == (12.5, Condition.PROTECTIVE)
+    for given, got in ((q, state.q), (v, state.velocity), (t, state.target)):
+        np.testing.assert_array_equal(given, got)
+    assert unpack_state(pack_state(1.0, Condition.RUNNING, q, v, None), 3).target is None
+    assert unpack_state(pack_state(1.0, Condition.RUNNING, q, v, t), 4) is None
+    for junk in (b"", b"S", b"S" * 34, b"X" * 82):
+        assert unpack_state(junk, 3) is None
+    at, back = unpack_command(pack_command(3.25, q))
+    assert at == 3.25
+    np.testing.assert_array_equal(back, q)
+
+
+def test_a_robot_goes_where_it_is_sent_stops_and_says_so(robot):
+    state = _until(robot, lambda s: True)
+    assert state.stamp > 999.0
+    np.testing.assert_allclose(state.q, [0.1, -0.2], atol=1e-12)
+    robot.send(Command(np.array([0.11, -0.19]), np.zeros(2), state.stamp + 0.02))
+    _until(robot, lambda s: np.abs(s.q - [0.11, -0.19]).max() < 1e-9)
+    robot.halt(says=Condition.PROTECTIVE)
+    state = _until(robot, lambda s: s.condition is Condition.PROTECTIVE)
+    robot.send(Command(np.array([0.5, 0.5]), np.zeros(2), state.stamp + 0.02))
+    state = _until(robot, lambda s, after=state.stamp + 0.1: s.stamp > after)
+    np.testing.assert_allclose(state.q, [0.11, -0.19], atol=1e-9)
+    robot.release()
+    _until(robot, lambda s: s.condition is Condition.RUNNING and np.abs(s.q - 0.5).max() < 1e-9)
+    robot.stop()
+    robot.stop()
+    _until(robot, lambda s: s.condition is Condition.STOPPED)
+
+
+def test_bad_settings_are_refused():
+    for bad in ({"loss": 1.0}, {"lag": -1.0}, {"period": 0.0}):
+        with pytest.raises(InvalidInputError):
+            SimOptions(**bad)
+
+
+@pytest.fixture(scope="module")
+def bar():
+    scenario = dual_arm7(duration=1.0)
+    return scenario, scenario.cell.with_limits(acceleration=15.0)
+
+
+def _driven(bar, options=None, recorder=None, gone_after=0.1):
+    scenario, cell = bar
+    x = cell.positions(scenario.q_start)
+    drivers = {
+        name: SimDriver(joints_of(cell, k), x[cell.v_slices[k]], {"seed": k, **(options or {})})
+        for k, name in enumerate(cell.arm_names)
+    }
+    controller = QPController(cell, scenario.grasp, scenario.path, dt=0.004)
+    return ControlLoop(controller, drivers, {"gone_after": gone_after}, recorder=recorder), drivers
+
+
+def _closed(drivers):
+    for driver in drivers.values():
+        driver.close()
+
+
+def test_two_robots_behind_a_bad_link_finish(bar):
+    loop, drivers = _driven(bar, {"latency": 5e-4, "jitter": 5e-4, "loss": 0.01, "clock_offset": 77.0}, gone_after=2.0)
+    try:
+        report = loop.run()
+    finally:
+        _closed(drivers)
+    assert report.finished, report.reason
+    assert report.acceleration <= 1.0 + 1e-9
+    assert report.apart < 0.02  # on a machine that may stall
+
+
+class _Killer:
+    """Kills a robot in the middle of a run."""
+
+    def __init__(self):
+        self.drivers, self.number = {}, 0
+
+    def take(self, moment, measured, sent, step, clock):
+        self.number += 1
+        if self.number == 100:
+            self.drivers["right"].kill()
+
+
+def test_a_robot_that_is_killed_ends_the_run(bar):
+    killer = _Killer()
+    loop, drivers = _driven(bar, recorder=killer)
+    killer.drivers = {"right": list(drivers.values())[1]}
+    name = list(drivers)[1]
+    try:
+        report = loop.run()
+    finally:
+        _closed(drivers)
+    assert not report.finished
+    assert f"robot '{name}' told no state" in report.reason
+    assert report.statuses["holding"] > 0
+
+
+def test_a_robot_that_does_not_start_is_said(monkeypatch):
+    import coopqp.drivers.sim as sim
+
+    monkeypatch.setattr(sim, "_START", 0.0)
+    with pytest.raises(DriverError, match="does not start"):
+        SimDriver(["a"], [0.0]).connect()
