@@ -15,7 +15,7 @@ from coopqp.drivers.command_spline import CommandSpline
 from coopqp.spatial import Array
 
 #: Smallest time constant of the low pass [s].
-LEAST_LAG = 1e-4
+LEAST_TIME_CONSTANT = 1e-4
 #: The addition closes a difference within this time where its limits allow it [s].
 _CLOSING_TIME = 0.01
 
@@ -88,7 +88,7 @@ class PlayOut:
     def retune(self, lag: Array) -> None:
         """Take other lags (n,) [s]; at rest only, where c and P are the same."""
         self.lag = lag
-        self.time_constant = max(float(lag.max(initial=0.0)), LEAST_LAG)
+        self.time_constant = max(float(lag.max(initial=0.0)), LEAST_TIME_CONSTANT)
         self._share = lag / self.time_constant
         # Then σ − p = M ṗ, exactly.
         self._alpha = self._h / (self._h + self.time_constant)
