@@ -14,10 +14,13 @@ command as an array. Readings are made, and commands kept, outside the timed par
 ``placo_p50_us``, ``placo_p99_us``    of that PlaCo in those rounds.
 
 Ratios are the median over the rounds of each round's ratio.
+
+With ``--against COMMIT`` the cases of cost run beside coopqp of that commit instead: see :mod:`against`.
 """
 
 from __future__ import annotations
 
+import argparse
 import contextlib
 import tempfile
 from collections.abc import Iterator, Sequence
@@ -25,6 +28,7 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
+import against
 import common  # first: it limits BLAS to one thread
 import numpy as np
 import peer_cases
@@ -53,6 +57,9 @@ KEYS = (
 )  # fmt: skip
 #: The peer and its mode that coopqp's records are compared with, and its case by coopqp's, where it is not "nominal".
 REFERENCE, REFERENCE_MODE, REFERENCE_CASES = "placo", "hard scaled", {"measured": "measured"}
+
+#: Beside another commit rounds are shorter by this factor, and as many more; ring of at most so many arms.
+AGAINST_ROUNDS, MOST_ARMS_AGAINST = 4, 8
 
 
 @dataclass(frozen=True)
@@ -433,6 +440,29 @@ def plot(records: Sequence[Record]) -> dict[str, bytes]:
     return common.log_log_plot("peers.png", curves, x="arms", y="one step, hot, nominal: median [µs]")
 
 
+def run_against(args: argparse.Namespace, plan: Plan) -> int:
+    """The cases of cost beside another commit. Returns 1 if that cannot run."""
+    cases = [case for case in peer_cases.COST if case in plan.cases]
+    arms = args.arms or [n for n in plan.arms if n <= MOST_ARMS_AGAINST]
+    settings = {"times": "CPU time of the process", "commit": args.against, "rounds": AGAINST_ROUNDS * plan.rounds}
+    description = common.describe("compare_peers --against", settings)
+    print(common.header(description), flush=True)
+    try:
+        records = against.compare(
+            args.against, args.cache, cases=cases, arms=arms, rounds=AGAINST_ROUNDS * plan.rounds,
+            steps=plan.steps // AGAINST_ROUNDS, round_s=plan.round_s,
+        )  # fmt: skip
+    except NotAvailable as error:
+        print(f"{args.against} is not compared: {error}")
+        return 1
+    text = against.report(records)
+    print("\n" + text)
+    files = {"against.md": text.encode()} if args.out is not None else None
+    for file in common.save(records, description, json_file=args.json, out=args.out, files=files):
+        print(f"wrote {file}")
+    return 0
+
+
 def main(argv: Sequence[str] | None = None) -> int:
     """Command line."""
     parser = common.arguments(__doc__.partition("\n")[0] if __doc__ else "")
@@ -441,9 +471,12 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser.add_argument("--arms", nargs="+", type=int, metavar="N", help="how many arms in the cases of cost")
     parser.add_argument("--no-install", action="store_true", help="only peers that are installed already")
     parser.add_argument("--cache", type=Path, default=CACHE, help="folder of the peers' environments")
+    parser.add_argument("--against", metavar="COMMIT", help="instead of peers: coopqp of this commit, built beside")
     args = parser.parse_args(argv)
     plan = QUICK if args.quick else FULL
     plan = replace(plan, cases=tuple(args.cases or plan.cases), arms=tuple(args.arms or plan.arms))
+    if args.against is not None:
+        return run_against(args, plan)
     settings = {
         "times": "CPU time of the process",
         "dt of cost cases": "1 ms",

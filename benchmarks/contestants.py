@@ -11,7 +11,7 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -86,6 +86,12 @@ def environment(peer: str, cache: Path, *, install: bool) -> Path:
 class Contestant:
     """A contestant in its process.
 
+    Args:
+        name: name of the peer.
+        python: its Python.
+        script: its runner; that of benchmarks/peers by default.
+        environment: variables that its process has besides.
+
     Attributes:
         name: name of the peer.
         version: version of its package.
@@ -93,15 +99,17 @@ class Contestant:
         note: reason for leaving the benchmark, or empty.
     """
 
-    def __init__(self, name: str, python: Path) -> None:
+    def __init__(
+        self, name: str, python: Path, *, script: Path | None = None, environment: Mapping[str, str] | None = None
+    ) -> None:
         self.name, self.note = name, ""
         self._log = tempfile.TemporaryFile("w+", prefix=f"{name}_")  # noqa: SIM115  # closed by stop()
         self._process = subprocess.Popen(
-            [str(python), str(HERE / "peers" / f"run_{name}.py")],
+            [str(python), str(script or HERE / "peers" / f"run_{name}.py")],
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             stderr=self._log,
-            env={**os.environ, **common.ONE_THREAD},
+            env={**os.environ, **common.ONE_THREAD, **(environment or {})},
         )
         self._pending = b""
         hello = self._answer(120.0)

@@ -1,0 +1,175 @@
+"""coopqp beside coopqp of another commit: the cases of cost of compare_peers.py, both in one run.
+
+A copy of that commit is built beside, with this Python and its packages. Each of the two runs in a process of its own,
+with its own benchmarks/peers/run_coopqp.py; they take turns in short rounds, hot and at 1 kHz. Records have the keys
+
+``case``, ``arms``, ``pacing``, ``commit``   the row;
+``p50_us``, ``p50_us_there``                 median of all steps here, and there;
+``ratio``          here / there: the median over the rounds of the ratio of their medians;
+``more_us``        here − there: the median over the rounds of the difference of their medians;
+``good``           ratio ≤ :data:`MOST_RATIO` or more_us ≤ :data:`MOST_US`;
+``failures``, ``note``   steps that failed here or there, and the first one's reason.
+"""
+
+from __future__ import annotations
+
+import io
+import os
+import shutil
+import subprocess
+import sys
+import tarfile
+import tempfile
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+import common  # first: it limits BLAS to one thread
+import numpy as np
+import peer_cases
+from common import Record
+from contestants import HERE, PACES, Contestant, NotAvailable, hand_over, ratio
+
+#: A row is good if it takes at most this much of the other commit's time, or at most this much longer [µs].
+MOST_RATIO, MOST_US = 1.05, 0.1
+KEYS = (
+    "case", "arms", "pacing", "commit", "p50_us", "p50_us_there", "ratio", "more_us", "good", "failures", "note",
+)  # fmt: skip
+#: On PYTHONPATH, lets a copy of the package be imported in place of an editable installation.
+_ELSEWHERE = HERE.parent / "tests" / "elsewhere"
+
+#: One round of a contestant: its times [µs], failed steps, the first one's reason.
+Round = tuple[list[float], int, str]
+
+
+def _said(command: Sequence[str], why: str, **options: object) -> bytes:
+    """What a program prints.
+
+    Raises:
+        NotAvailable: it fails.
+    """
+    try:
+        done = subprocess.run(list(command), capture_output=True, check=False, timeout=900, **options)  # type: ignore[call-overload]
+    except (OSError, subprocess.TimeoutExpired) as error:
+        raise NotAvailable(f"{why}: {type(error).__name__}") from error
+    if done.returncode:
+        lines = done.stderr.decode(errors="replace").strip().splitlines()
+        raise NotAvailable(f"{why}: {(lines or ['no reason given'])[-1][:160]}")
+    found: bytes = done.stdout
+    return found
+
+
+def checkout(commit: str, cache: Path, repository: Path = HERE.parent) -> Path:
+    """Folder of a copy of ``commit`` with its core built; made once a commit.
+
+    Raises:
+        NotAvailable: there is no such commit, or its core cannot be built.
+    """
+    git = ["git", "-C", str(repository)]
+    name = _said([*git, "rev-parse", "--verify", f"{commit}^{{commit}}"], "there is no such commit").decode().strip()
+    folder = cache / f"coopqp-{name[:12]}"
+    if (folder / "built").is_file():
+        return folder
+    shutil.rmtree(folder, ignore_errors=True)
+    folder.mkdir(parents=True)
+    with tarfile.open(fileobj=io.BytesIO(_said([*git, "archive", name], "it cannot be copied"))) as archive:
+        if hasattr(tarfile, "data_filter"):
+            archive.extractall(folder, filter="data")
+        else:  # Python 3.10 and 3.11 before their last security releases
+            archive.extractall(folder)
+    cmake = shutil.which("cmake", path=os.pathsep.join((str(Path(sys.executable).parent), os.environ.get("PATH", ""))))
+    build, why = str(folder / "build"), "its core cannot be built"
+    for arguments in (
+        ("-S", str(folder), "-B", build, f"-DPython_EXECUTABLE={sys.executable}"),
+        ("--build", build, "--parallel", "2"),
+        ("--install", build, "--prefix", str(folder)),
+    ):
+        _said([cmake or "cmake", *arguments], why)
+    (folder / "built").touch()
+    return folder
+
+
+def start(folder: Path) -> Contestant:
+    """coopqp of a copy in its process.
+
+    Raises:
+        NotAvailable: it cannot run.
+    """
+    path = os.pathsep.join((str(_ELSEWHERE), str(folder)))
+    script = folder / "benchmarks" / "peers" / "run_coopqp.py"
+    return Contestant("coopqp", Path(sys.executable), script=script, environment={"PYTHONPATH": path})
+
+
+def rounds_of(here: Callable[[], Round], there: Callable[[], Round], number: int) -> tuple[list[Round], list[Round]]:
+    """Rounds of both by turns, the order reversed in every other one."""
+    found: tuple[list[Round], list[Round]] = ([], [])
+    for i in range(number):
+        for k in (0, 1) if i % 2 == 0 else (1, 0):
+            found[k].append((here, there)[k]())
+    return found
+
+
+def judged(here: Sequence[Round], there: Sequence[Round]) -> Record:
+    """The figures of a row."""
+    own, other = ([times for times, _, _ in rounds] for rounds in (here, there))
+    more = [float(np.median(a) - np.median(b)) for a, b in zip(own, other, strict=True) if a and b]
+    share, longer = ratio(own, other), float(np.median(more)) if more else None
+    p50 = [common.percentiles([x for times in rounds for x in times])["p50_us"] for rounds in (own, other)]
+    return {
+        "p50_us": p50[0],
+        "p50_us_there": p50[1],
+        "ratio": share,
+        "more_us": longer,
+        "good": share is not None and longer is not None and (share <= MOST_RATIO or longer <= MOST_US),
+        "failures": sum(failed for _, failed, _ in (*here, *there)),
+        "note": next((note for _, _, note in (*here, *there) if note), ""),
+    }
+
+
+def compare(
+    commit: str, cache: Path, *, cases: Sequence[str], arms: Sequence[int], rounds: int, steps: int, round_s: float
+) -> list[Record]:
+    """All rows. Each round has ``steps`` steps and ends after ``round_s`` seconds.
+
+    Raises:
+        NotAvailable: the other commit cannot run.
+    """
+    records: list[Record] = []
+    folder = checkout(commit, cache)
+    name = folder.name.partition("-")[2]
+    progress = common.Progress(len(cases) * len(arms) * len(PACES))
+    pair: list[Contestant] = []
+    try:
+        pair += [Contestant.start("coopqp", cache, install=False), start(folder)]
+        modes = [contestant.modes[0] for contestant in pair]
+        with tempfile.TemporaryDirectory(prefix="against_") as temporary:
+            for count in arms:
+                for case in cases:
+                    file = hand_over(peer_cases.build(case, count), Path(temporary) / f"{case}_{count}")
+                    for contestant in pair:
+                        contestant.load(file)
+                    for pacing, period in PACES.items():
+
+                        def one(k: int, period: float = period) -> Callable[[], Round]:
+                            return lambda: _round(pair[k], modes[k], steps, period, round_s)
+
+                        progress.advance(f"{case}, {count} arms, {pacing}")
+                        row = judged(*rounds_of(one(0), one(1), rounds))
+                        records.append({"case": case, "arms": count, "pacing": pacing, "commit": name, **row})
+    finally:
+        for contestant in pair:
+            contestant.stop()
+        progress.close()
+    return records
+
+
+def _round(contestant: Contestant, mode: str, steps: int, period: float, round_s: float) -> Round:
+    answer = contestant.ask(do="time", mode=mode, steps=steps, period=period, budget=round_s, timeout=120.0)
+    return answer["us"], answer["failures"], answer["note"]
+
+
+def report(records: Sequence[Record]) -> str:
+    """The rows as Markdown, and how many are good."""
+    good = sum(bool(r["good"]) for r in records)
+    commit = records[0]["commit"] if records else "no commit"
+    bound = f"≤ {MOST_RATIO:g} × or ≤ {MOST_US:g} µs more: {good} of {len(records)} rows"
+    return f"## Here ÷ {commit}\n\n{bound}\n\n{common.markdown_table(records, KEYS)}\n"
