@@ -36,7 +36,7 @@ static double bound(const Core *c, double *twists, int n) {
 
 /* What the grasps were asked to shift since the step before, of which the errors foreseen did not know; or nullptr. */
 static const double *asked_to_shift(const Core *c) {
-    return c->loop->has_predicted != 0.0 && c->loop->shift_asked != 0.0 ? c->asked_shift : nullptr;
+    return c->loop->has_predicted != 0.0 && c->loop->shift_asked != 0.0 ? (double *)c->asked_shift : nullptr;
 }
 
 /* c_k, c_p, and b_k: the error of the last linearisation; beyond what that step foresaw it is left over. Gains take away

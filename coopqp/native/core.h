@@ -27,6 +27,7 @@
 #include <string.h>
 
 #include "layout.h"
+#include "views.h"
 
 /* Unknowns of the condensed QP but for null-space motions: off-path twist, rate, shares of both corrections. */
 #define TWIST_AND_SHARES 9
@@ -35,33 +36,35 @@
 enum Question { ASK_CLEAR, ASK_ROWS, ASK_TIGHTER, ASK_SURVEY };
 
 struct Core {
-#define MEMBER(type, name, size) type *name;
+    Core() = default;
+    Core(const Core &) = delete; /* views are of its own memory */
+#define MEMBER(type, name, size) type name;
     CONFIG_FIELDS(MEMBER)
     STATE_FIELDS(MEMBER)
     WORK_FIELDS(MEMBER)
 #undef MEMBER
-    int arms, joints, nq, unknowns, rows, past; /* rows: further rows that fit; past: samples in `history` */
-    int redundant, looks_ahead;
-    int users_path; /* the path is no one of the library: it may jump or bend where no breakpoint tells */
-    int given_rows, further_rows; /* of this step: by constraints, and with those that brake all arms together */
-    int knot_asked, surveyed; /* in this step: what bodies bound at a knot, a piece of what they ask for ahead */
-    int waited;               /* in the step before: work on bodies where the joints are */
-    int asked;        /* how often a user's path was asked for what is ahead */
+    int arms = 0, joints = 0, nq = 0, unknowns = 0, rows = 0, past = 0; /* rows: further rows that fit; past: samples in `history` */
+    int redundant = 0, looks_ahead = 0;
+    int users_path = 0; /* the path is no one of the library: it may jump or bend where no breakpoint tells */
+    int given_rows = 0, further_rows = 0; /* of this step: by constraints, and with those that brake all arms together */
+    int knot_asked = 0, surveyed = 0; /* in this step: what bodies bound at a knot, a piece of what they ask for ahead */
+    int waited = 0;               /* in the step before: work on bodies where the joints are */
+    int asked = 0;        /* how often a user's path was asked for what is ahead */
     /* The path: duration, number of breakpoints, number of segments, breakpoints, segments of 29 numbers in the order of
      * their starts. A path without segments is known to own_path. */
-    const double *path_numbers;
-    double duration;
-    Minding *minding; /* of the forces between the arms, see minding.h; nullptr where nobody minds them */
+    const double *path_numbers = nullptr;
+    double duration = 0.0;
+    Minding *minding = nullptr; /* of the forces between the arms, see minding.h; nullptr where nobody minds them */
     /* Calls into Python; 0 if they fail. `out` takes R (9) and p (3), or with `twist` six numbers. */
-    int (*own_path)(Core *c, double clock, int twist, double *out);
+    int (*own_path)(Core *c, double clock, int twist, double *out) = nullptr;
     /* May lower cap and decrease of a new knot; nullptr for none. `slot` is its place in the ring. */
-    int (*bound_knot)(Core *c, int slot);
+    int (*bound_knot)(Core *c, int slot) = nullptr;
     /* May add self-motion to `evading_slope` at `evading_positions`; nullptr for none. 0 if it fails. */
-    int (*evade)(Core *c);
+    int (*evade)(Core *c) = nullptr;
     /* Asks further constraints, whose rows go into the memory; −1 if they fail. */
-    long (*ask)(Core *c, Question question);
+    long (*ask)(Core *c, Question question) = nullptr;
     /* Does a piece of what bodies ahead ask for; nullptr for none. 0 if there is nothing to do. */
-    int (*survey_ahead)(Core *c);
+    int (*survey_ahead)(Core *c) = nullptr;
 };
 
 /* Some joint has an acceleration limit. */

@@ -10,6 +10,13 @@ from pathlib import Path
 from typing import Any
 
 
+#: Types of fields of such a size, in views.h; others are pointers.
+VIEWS = {
+    "n": "Vector", "nv": "Vector", "nq": "Vector", "6": "Twist", "6 * n": "Twists", "6 * nv": "Twists", "3": "Point",
+    "9": "Rotation", "36": "Square",
+}  # fmt: skip
+
+
 def header(constants: dict[str, Any], layout: dict[str, Any]) -> str:
     """The constants and the layout in C++."""
     structs, sizes = layout["STRUCTS"], layout["SIZES"]
@@ -28,7 +35,8 @@ def header(constants: dict[str, Any], layout: dict[str, Any]) -> str:
         lines.append(f"#define {block}_FIELDS(FIELD) \\")
         for name, size in fields:
             kind = size.split()[0] if size.split()[0] in structs else "double"
-            lines.append(f"    FIELD({kind}, {name}, {size.replace(kind, str(layout['SIZES'].get(kind)))}) \\")
+            numbers = size.replace(kind, str(layout["SIZES"].get(kind)))
+            lines.append(f"    FIELD({VIEWS.get(size, kind + ' *')}, {name}, {numbers}) \\")
         lines.append("")
     return "\n".join([*lines, "", "#endif", ""])
 

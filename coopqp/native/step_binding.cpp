@@ -44,7 +44,7 @@ struct BoundCore : Core {
     const Arithmetic *unguarded = nullptr;
 #endif
 
-    BoundCore() : Core{} {}
+    
 };
 
 using Maybe = std::optional<nb::object>; /* None, too */
@@ -79,7 +79,7 @@ static void lay_out(BoundCore *self) {
     if (!self->memory) throw std::bad_alloc();
     self->owner = nb::capsule(self->memory, [](void *memory) noexcept { free(memory); });
     size_t i = 0;
-#define PLACE(type, name, count) self->name = reinterpret_cast<type *>(self->memory + self->fields[i++].begin);
+#define PLACE(type, name, count) place(self->name, self->memory + self->fields[i].begin, self->fields[i].size), i++;
     CONFIG_FIELDS(PLACE) STATE_FIELDS(PLACE) WORK_FIELDS(PLACE)
 }
 

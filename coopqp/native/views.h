@@ -1,0 +1,45 @@
+/* Fields of the memory, as Eigen sees them: vectors, and matrices whose columns are twists or points. */
+
+#ifndef COOPQP_VIEWS_H
+#define COOPQP_VIEWS_H
+
+#include <Eigen/Core>
+#include <Eigen/Geometry>
+
+using Vector3 = Eigen::Vector3d;
+using Vector6 = Eigen::Matrix<double, 6, 1>;
+using Matrix3 = Eigen::Matrix<double, 3, 3, Eigen::RowMajor>;
+using Matrix6 = Eigen::Matrix<double, 6, 6, Eigen::RowMajor>;
+using Matrix6X = Eigen::Matrix<double, 6, Eigen::Dynamic>;
+
+/* A view that also is the pointer to its first number. */
+template <typename M>
+struct View : Eigen::Map<M> {
+    using Base = Eigen::Map<M>;
+    using Base::operator=;
+    View() : Base(nullptr, M::RowsAtCompileTime < 0 ? 0 : M::RowsAtCompileTime, M::ColsAtCompileTime < 0 ? 0 : M::ColsAtCompileTime) {}
+    View(double *at, Eigen::Index rows, Eigen::Index columns) : Base(at, rows, columns) {}
+    operator double *() const { return const_cast<double *>(this->data()); }
+    double &operator[](Eigen::Index i) const { return const_cast<double *>(this->data())[i]; }
+};
+
+using Vector = View<Eigen::VectorXd>;                                /* a number of each joint, or arm */
+using Twists = View<Matrix6X>;                                       /* a twist of each */
+using Twist = View<Vector6>;
+using Point = View<Vector3>;
+using Rotation = View<Matrix3>;
+using Square = View<Matrix6>;
+
+/* A field begins at a place in memory, and has so many numbers. */
+template <typename T>
+void place(T *&field, double *at, size_t) {
+    field = reinterpret_cast<T *>(at);
+}
+template <typename M>
+void place(View<M> &field, double *at, size_t size) {
+    const int fixed = M::RowsAtCompileTime;
+    const Eigen::Index rows = fixed < 0 ? (Eigen::Index)size : fixed;
+    new (&field) View<M>(at, rows, (Eigen::Index)size / rows);
+}
+
+#endif
