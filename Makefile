@@ -51,7 +51,7 @@ lint: $(VENV)/.installed
 	$(BIN)/mypy
 	$(BIN)/lint-imports
 
-# The compiled core, each warning an error, and no weak symbol common to its two builds.
+# The compiled core, each warning an error, no weak symbol common to its two builds, and no heap in its arithmetic.
 core: $(VENV)/.installed
 	$(BIN)/cmake -S . -B build/strict -DCOOPQP_WERROR=ON -DPython_EXECUTABLE=$(CURDIR)/$(BIN)/python
 	$(BIN)/cmake --build build/strict --clean-first

@@ -30,10 +30,8 @@ static void copy_knot(Core *c, int from, int to) {
     const size_t bytes = sizeof(double) * (size_t)c->joints;
     if (from == to) return;
     *knot(c, to) = *knot(c, from);
-    memcpy(vector_of(c, c->knot_positions, to), vector_of(c, c->knot_positions, from), bytes);
-    memcpy(vector_of(c, c->knot_slope, to), vector_of(c, c->knot_slope, from), bytes);
-    memcpy(vector_of(c, c->knot_curvature, to), vector_of(c, c->knot_curvature, from), bytes);
-    memcpy(edges_of(c, to), edges_of(c, from), bytes);
+    for (double *vectors : {c->knot_positions, c->knot_slope, c->knot_curvature, c->knot_edges})
+        memcpy(vector_of(c, vectors, to), vector_of(c, vectors, from), bytes);
 }
 
 static void name_cause(Cause &cause, LimitKind kind, int arm, int joint) {
@@ -44,12 +42,6 @@ static int arm_of(const Core *c, int joint) {
     int k = 0;
     while (k + 1 < c->arms && c->arm_start[k + 1] <= joint) k++;
     return k;
-}
-
-static double largest_size(const double *x, int n) {
-    double largest = 0.0;
-    for (int j = 0; j < n; j++) largest = maximum(largest, fabs(x[j]));
-    return largest;
 }
 
 /* -- sharing.cpp ---------------------------------------------------------------------------------------- */

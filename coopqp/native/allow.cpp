@@ -5,26 +5,21 @@
 #include "minding.h"
 
 /* Share of a bound |A w| ≤ b·w of a palm that is used. */
-static double share_used(const double *bound, const double *w) {
-    double asked = 0.0, held = 0.0;
-    for (int i = 0; i < 3; i++) {
-        double sum = 0.0;
-        for (int j = 0; j < 6; j++) sum += bound[6 * i + j] * w[j];
-        asked += sum * sum;
-    }
-    for (int j = 0; j < 6; j++) held += bound[18 + j] * w[j];
-    return held > 0.0 ? sqrt(asked) / held : INFINITY;
+static double share_used(const double *bound, const Vector6 &w) {
+    const double asked = (Eigen::Map<const Eigen::Matrix<double, 3, 6, Eigen::RowMajor>>(bound) * w).norm();
+    const double held = Eigen::Map<const Vector6>(bound + 18).dot(w);
+    return held > 0.0 ? asked / held : INFINITY;
 }
 
 /* The busiest palm's use, and which it is; the normal force that all would need. */
-static double palms_used(int arms, const MindingArrays *f, int *busiest, double *needed) {
+static double palms_used(int arms, const MindingArrays &f, int *busiest, double *needed) {
     double most = -1.0;
     *needed = 0.0, *busiest = 0;
     for (int k = 0; k < arms; k++) {
-        const double *palm = f->palms + PALM * k, *w = f->seen + 6 * k;
+        const double *palm = f.palms + PALM * k;
+        const Vector6 w = f.seen.col(k);
         const double used = maximum(share_used(palm, w), share_used(palm + PALM_BOUND, w));
-        double pressed = 0.0;
-        for (int j = 0; j < 6; j++) pressed += palm[PALM - 6 + j] * w[j];
+        const double pressed = Eigen::Map<const Vector6>(palm + PALM - 6).dot(w);
         *needed = maximum(*needed, pressed > 0.0 ? used * pressed : INFINITY);
         if (used > most) most = used, *busiest = k;
     }
@@ -32,13 +27,13 @@ static double palms_used(int arms, const MindingArrays *f, int *busiest, double 
 }
 
 /* Raise the squeeze where the load that is felt needs more; it never falls again. */
-static void press_harder(int arms, const MindingArrays *f, double needed, double dt) {
-    Minding *m = f->m;
+static void press_harder(MindingArrays &f, double needed, double dt) {
+    Minding *m = f.m;
     m->needed += dt / (dt + m->wrench_filter) * (minimum(needed, m->most_squeeze) - m->needed);
     const double wanted = minimum(SPARE_SQUEEZE * m->needed, m->most_squeeze);
     if (!(wanted > m->pressed_with)) return;
     m->pressed_with = minimum(wanted, m->pressed_with + FIRMER * dt);
-    for (int i = 0; i < 6 * arms; i++) f->target[i] = m->pressed_with / m->squeeze * f->squeezed[i];
+    f.target = m->pressed_with / m->squeeze * f.squeezed;
 }
 
 /* Let the rate that forces allow come closer to `cap`: it falls in proportion to itself, as braking makes forces of its own, and
@@ -50,12 +45,12 @@ static void ease_cap(Minding *m, double cap, double dt) {
 }
 
 /* Whether friction is what slows the object. */
-static int friction_slows(int arms, const MindingArrays *f, double dt) {
-    Minding *m = f->m;
+static int friction_slows(int arms, MindingArrays &f, double dt) {
+    Minding *m = f.m;
     double needed;
     int busiest;
     const double used = palms_used(arms, f, &busiest, &needed);
-    press_harder(arms, f, needed, dt);
+    press_harder(f, needed, dt);
     m->friction_used += dt / (dt + m->wrench_filter) * (minimum(used, 2.0) - m->friction_used);
     if (!(m->friction_used > FRICTION_SLOWS)) return 0;
     ease_cap(m, maximum((1.0 - m->friction_used) / (1.0 - FRICTION_SLOWS), 0.0), dt);
@@ -65,7 +60,7 @@ static int friction_slows(int arms, const MindingArrays *f, double dt) {
 
 /* Find the largest rate of the object now, `allowed`, and `why` it is less than the wanted rate. */
 static void allow(int arms, Minding *m, double dt) {
-    const MindingArrays f = minding_of(arms, m);
+    MindingArrays f = minding_of(arms, m);
     Why why = NOTHING_MORE;
     if (m->sensor_fault != SENSORS_FINE) why = BY_SENSOR;
     else if (m->touches != 0.0) why = BY_CONTACT;
@@ -73,7 +68,7 @@ static void allow(int arms, Minding *m, double dt) {
     else if (m->stage != MOVING) why = BY_STAGE;
     m->why = why, m->allowed = 0.0;
     if (why != NOTHING_MORE) return;
-    if (m->has_palms != 0.0 && friction_slows(arms, &f, dt)) {
+    if (m->has_palms != 0.0 && friction_slows(arms, f, dt)) {
         m->why = BY_FRICTION, m->allowed = minimum(m->force_cap, m->asked);
         return;
     }
@@ -98,10 +93,8 @@ static void mind(Core *c, const double *wrenches, double dt) {
 /* After it: what it asked the object and the arms for. */
 static void minded(Core *c) {
     Minding *m = c->minding;
-    double *reference = minding_of(c->arms, m).reference;
     m->reference_dt = m->asked_dt, m->asked_dt = c->record->dt;
-    memcpy(reference, c->R, 9 * sizeof(double));
-    memcpy(reference + 9, c->p, 3 * sizeof(double));
+    *minding_of(c->arms, m).reference = *c->pose;
     m->at_end = !(c->record->clock_next > c->record->clock);
     m->last_rate = c->record->rate, m->last_speed = largest_size(vectors_of(c->record) + c->nq, c->joints);
 }

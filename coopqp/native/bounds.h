@@ -7,6 +7,8 @@
 #include <Python.h>
 #include <math.h>
 
+#include "spatial.h"
+
 #define LANES 8
 #define TURN 6.283185307179586
 
@@ -48,13 +50,9 @@ static inline int certify(const double *clearances, const double *reach, double 
 
 /* G (joints) of a pair with unit normal and point in `ends` (6), by the joints' world Jacobians J (joints, 6). */
 static inline void gradient(const double *ends, const double *J, const double *kinds, double *G, Py_ssize_t joints) {
-    const double *n = ends, *p = ends + 3;
-    const double turn[3] = {p[1] * n[2] - p[2] * n[1], p[2] * n[0] - p[0] * n[2], p[0] * n[1] - p[1] * n[0]};
-    for (Py_ssize_t j = 0; j < joints; j++) {
-        const double *a = J + 6 * j;
-        const double move = n[0] * a[0] + n[1] * a[1] + n[2] * a[2];
-        G[j] = kinds[j] * (move + turn[0] * a[3] + turn[1] * a[4] + turn[2] * a[5]);
-    }
+    const Eigen::Map<const Vector3> n(ends), p(ends + 3);
+    const Vector6 at_origin = both(n, p.cross(n));
+    for (Py_ssize_t j = 0; j < joints; j++) G[j] = kinds[j] * at_origin.dot(Eigen::Map<const Vector6>(J + 6 * j));
 }
 
 /* The pair whose clearance, at least `least`, may be used up first: `most` is what a unit of motion takes. -1 of none. */

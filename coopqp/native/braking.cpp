@@ -2,92 +2,74 @@
 
 #include "functions.h"
 
-/* Least eigenvalue of a symmetric 6 × 6 matrix, and its eigenvector, by Jacobi's rotations. */
-static double least_by_rotations(double G[6][6], double *u) {
-    double V[6][6] = {{0}}, trace = 0.0;
-    int least = 0;
-    for (int i = 0; i < 6; i++) V[i][i] = 1.0, trace += G[i][i];
+/* Least eigenvalue of a symmetric matrix, and its eigenvector, by Jacobi's rotations. */
+static double least_by_rotations(Matrix6 G, Vector6 *u) {
+    Matrix6 V = Matrix6::Identity(); /* eigenvectors in its rows */
+    const double trace = G.trace();
     for (int sweep = 0; sweep < MOST_SWEEPS; sweep++) {
         double off = 0.0;
         for (int a = 0; a < 5; a++)
             for (int b = a + 1; b < 6; b++) {
-                const double g = G[a][b];
+                const double g = G(a, b);
                 off = fmax(off, fabs(g));
                 if (!(fabs(g) > SMALL_ROTATION * trace)) continue;
-                const double half = 0.5 * (G[b][b] - G[a][a]) / g;
+                const double half = 0.5 * (G(b, b) - G(a, a)) / g;
                 const double t = copysign(1.0, half) / (fabs(half) + sqrt(half * half + 1.0));
                 const double co = 1.0 / sqrt(t * t + 1.0), s = t * co;
-                for (int i = 0; i < 6; i++) {
-                    const double x = G[i][a], y = G[i][b], p = V[a][i], q = V[b][i];
-                    G[i][a] = co * x - s * y, G[i][b] = s * x + co * y;
-                    V[a][i] = co * p - s * q, V[b][i] = s * p + co * q;
-                }
-                for (int i = 0; i < 6; i++) {
-                    const double x = G[a][i], y = G[b][i];
-                    G[a][i] = co * x - s * y, G[b][i] = s * x + co * y;
-                }
+                const Eigen::JacobiRotation<double> rotation(co, s);
+                G.applyOnTheRight(a, b, rotation);
+                G.applyOnTheLeft(a, b, rotation.transpose());
+                V.applyOnTheLeft(a, b, rotation.transpose());
             }
         if (!(off > SMALL_ROTATION * trace)) break;
     }
-    for (int i = 1; i < 6; i++)
-        if (G[i][i] < G[least][least]) least = i;
-    memcpy(u, V[least], sizeof V[least]);
-    return fmax(G[least][least], 0.0);
+    int least;
+    const double found = G.diagonal().minCoeff(&least);
+    *u = V.row(least).transpose();
+    return fmax(found, 0.0);
 }
 
-/* The least singular value of one arm's tool Jacobian, from its rows of Jᵀ about a point `way` before the tool, and its
- * gradient over the arm's joints. */
-static double singular_edge(const double *JT, const double *way, int n, double *gradient) {
-    double near[6 * MOST_JOINTS], G[6][6], u[6], w[MOST_JOINTS], before[3] = {0}, after[3] = {0}, size = 0.0;
-    for (int j = 0; j < n; j++) twist_at(JT + 6 * j, way, near + 6 * j);
-    for (int i = 0; i < 6; i++)
-        for (int m = 0; m <= i; m++) {
-            double sum = 0.0;
-            for (int j = 0; j < n; j++) sum += near[6 * j + i] * near[6 * j + m];
-            G[i][m] = G[m][i] = sum;
-        }
-    least_by_rotations(G, u);
-    for (int j = 0; j < n; j++) {
-        w[j] = dot3(near + 6 * j, u) + dot3(near + 6 * j + 3, u + 3);
-        size += w[j] * w[j];
-    }
-    size = sqrt(size);
-    for (int j = 0; j < n; j++) w[j] /= size > 0.0 ? size : 1.0;
+/* The least singular value of one arm's tool Jacobian, from its J about a point `way` before the tool, and its gradient
+ * over the arm's joints. */
+static double singular_edge(const double *jacobian, const Vector3 &way, int n, double *gradient) {
+    const OfArm J(jacobian, 6, n);
+    ArmColumns near(6, n);
+    for (int j = 0; j < n; j++) near.col(j) = twist_at(J.col(j), way);
+    Vector6 u;
+    least_by_rotations(near.lazyProduct(near.transpose()), &u);
+    double w[MOST_JOINTS], square = 0.0;
+    for (int j = 0; j < n; j++) w[j] = near.col(j).dot(u), square += w[j] * w[j];
+    const double size = sqrt(square);
+    for (int j = 0; j < n && size > 0.0; j++) w[j] /= size;
     /* uᵀ (∂_j J) w: a joint turns the joints after it, and those before it turn what it does */
+    const Vector3 force = u.head<3>(), moment = u.tail<3>();
+    Vector3 before = Vector3::Zero(), after = Vector3::Zero();
     for (int j = n - 1; j >= 0; j--) {
-        double lever[3];
-        const double *linear = near + 6 * j, *turn = linear + 3;
-        cross(linear, u, lever);
-        for (int i = 0; i < 3; i++) after[i] += w[j] * lever[i];
-        gradient[j] = dot3(turn, after);
-        cross(turn, u + 3, lever);
-        for (int i = 0; i < 3; i++) after[i] += w[j] * lever[i];
+        const Vector3 linear = near.col(j).head<3>(), turn = near.col(j).tail<3>();
+        after += w[j] * linear.cross(force);
+        gradient[j] = turn.dot(after);
+        after += w[j] * turn.cross(moment);
     }
     for (int j = 0; j < n; j++) {
-        double moved[3];
-        const double *linear = near + 6 * j, *turn = linear + 3;
-        cross(before, linear, moved);
-        gradient[j] += dot3(u, moved);
-        for (int i = 0; i < 3; i++) before[i] += w[j] * turn[i];
+        const Vector3 linear = near.col(j).head<3>(), turn = near.col(j).tail<3>();
+        gradient[j] += force.dot(before.cross(linear));
+        before += w[j] * turn;
     }
     return size;
 }
 
 /* J̇ v of one arm about a point that moves with the object. */
-static void bend(const double *JT, const double *v, int n, double *out) {
-    double before[3] = {};
-    memset(out, 0, 6 * sizeof(double));
+static Vector6 bend(const double *jacobian, const double *v, int n) {
+    const OfArm J(jacobian, 6, n);
+    Vector3 before = Vector3::Zero();
+    Vector6 out = Vector6::Zero();
     for (int j = 0; j < n; j++) {
-        const double *linear = JT + 6 * j, *turn = linear + 3;
-        double twice[3], moved[3], turned[3];
-        for (int i = 0; i < 3; i++) twice[i] = 2.0 * before[i] + v[j] * turn[i];
-        cross(twice, linear, moved);
-        cross(before, turn, turned);
-        for (int i = 0; i < 3; i++) {
-            out[i] += v[j] * moved[i], out[3 + i] += v[j] * turned[i];
-            before[i] += v[j] * turn[i];
-        }
+        const Vector3 linear = J.col(j).head<3>(), turn = v[j] * J.col(j).tail<3>();
+        out.head<3>() += v[j] * (2.0 * before + turn).cross(linear);
+        out.tail<3>() += before.cross(turn);
+        before += turn;
     }
+    return out;
 }
 
 /* How fast an edge with this room may come closer, that does so at a speed s and that accelerations change by `most`. */
@@ -119,13 +101,9 @@ static double *next_row(Core *c) {
 }
 
 /* Where the tool of arm k is, from the object's origin as the first arm carries it. */
-static void way_to_tool(const Core *c, int k, double *way) {
-    const double *O = c->carried + 12 * k, *Y = c->object_R + 9 * k;
-    double there[3], held[3];
-    for (int i = 0; i < 3; i++) there[i] = c->tool_p[3 * k + i] - c->object_p[3 * k + i];
-    rotate_back(Y, there, held);
-    rotate(O, held, way);
-    for (int i = 0; i < 3; i++) way[i] += O[9 + i] - c->carried[9 + i];
+static Vector3 way_to_tool(const Core *c, int k) {
+    const Pose &O = c->carried[k], &Y = c->object[k];
+    return O.p - c->carried[0].p + O.R * (Y.R.transpose() * (c->tool_p.col(k) - Y.p));
 }
 
 /* The limit that a row stands for, by its number in BrakingRows.labels: kind, arm, joint, constraint. */
@@ -140,18 +118,19 @@ static void name_brake(const Core *c, int number, double *entry) {
 
 /* Add the rows that may bind the next velocities. */
 static void brake_together(Core *c) {
-    static const double still[6] = {};
-    const double h = c->proposal->dt, *v = c->velocity;
-    double T = h, *bends = c->scratch, *needed = bends + 6 * c->arms, *nothing = needed + c->joints, size = 0.0;
+    const double h = c->proposal->dt;
+    const Vector &v = c->velocity;
+    Twists bends(c->scratch, 6, c->arms);
+    Vector needed(c->scratch + 6 * c->arms, c->joints, 1), nothing(needed + c->joints, c->joints, 1);
+    double T = h, size = 0.0;
     int worst = 0;
     for (int j = 0; j < c->joints; j++) T = fmax(T, fabs(v[j]) / c->plan_acceleration[j]);
-    carry_and_linearise(c, c->positions, c->carried + 9, nullptr, c->jacobian);
-    memset(needed, 0, sizeof(double) * (size_t)c->joints);
+    carry_and_linearise(c, c->positions, c->carried[0].p, nullptr, c->jacobian);
+    needed.setZero();
     for (int k = 0; k < c->arms; k++) {
-        const int n = (int)c->arm_size[k], start = (int)c->arm_start[k];
-        double way[3], away[MOST_JOINTS], s = 0.0, most = 0.0, reach = 0.0, *G = next_row(c);
-        way_to_tool(c, k, way);
-        const double sigma = singular_edge(c->jacobian + 6 * start, way, n, away);
+        const auto [start, n] = joints_of(c, k);
+        double away[MOST_JOINTS], s = 0.0, most = 0.0, reach = 0.0, *G = next_row(c);
+        const double sigma = singular_edge(c->jacobian + 6 * start, way_to_tool(c, k), n, away);
         for (int j = 0; j < n; j++) {
             G[start + j] = -away[j];
             s -= away[j] * v[start + j];
@@ -169,8 +148,8 @@ static void brake_together(Core *c) {
         add_row(c, -down, up, c->arms + j);
     }
     for (int k = 0; k < c->arms; k++)
-        bend(c->jacobian + 6 * (int)c->arm_start[k], v + (int)c->arm_start[k], (int)c->arm_size[k], bends + 6 * k);
-    const int singular = !two_velocities(c, c->jacobian, bends, still, nullptr, nullptr, needed, nothing);
+        bends.col(k) = bend(c->jacobian + 6 * joints_of(c, k).start, v + joints_of(c, k).start, joints_of(c, k).n);
+    const int singular = !two_velocities(c, c->jacobian, bends, Vector6::Zero(), nullptr, nullptr, needed, nothing);
     double used = singular ? INFINITY : 0.0, reach = 0.0, *G = next_row(c);
     for (int j = 0; j < c->joints && !singular; j++) {
         const double share = fabs(needed[j]) / c->plan_acceleration[j];

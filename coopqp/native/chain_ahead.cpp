@@ -4,22 +4,16 @@
 #include "ahead.h"
 
 struct Sketch {
-    double *carried, *errors, *w, *jacobian, *step, *wish, *after;
+    Pose *carried;
+    Twists errors, w, jacobian;
+    Vector step, wish, after;
 };
 
 static Sketch sketch_of(const Core *c) {
     const int n = c->arms, nv = c->joints;
-    double *carried = c->sketch, *errors = carried + 12 * n, *w = errors + 6 * n, *jacobian = w + 6 * n;
-    double *step = jacobian + 6 * nv;
-    return Sketch{carried, errors, w, jacobian, step, step + nv, step + 2 * nv};
-}
-
-/* w_k = −R e_k */
-static void twists_back(const Core *c, const double *R, const double *errors, double *w) {
-    for (int i = 0; i < 2 * c->arms; i++) {
-        const double e[3] = {-errors[3 * i], -errors[3 * i + 1], -errors[3 * i + 2]};
-        rotate(R, e, w + 3 * i);
-    }
+    double *errors = c->sketch + 12 * n, *jacobian = errors + 12 * n, *step = jacobian + 6 * nv;
+    return {reinterpret_cast<Pose *>(c->sketch), {errors, 6, n}, {errors + 6 * n, 6, n}, {jacobian, 6, nv},
+            {step, nv, 1}, {step + nv, nv, 1}, {step + 2 * nv, nv, 1}};
 }
 
 /* Self-motion by which redundant arms keep clear of bodies; 0 if a constraint fails. */
@@ -95,18 +89,18 @@ static void expect(const Core *c, int last, double span, double *x) {
 
 /* Newton's step from `positions` to the pose at `clock`, and q′ there; where the twist jumps, that before it. */
 static Trial newton_step(Core *c, double clock, double before, const double *positions, double *step, double *slope) {
-    const Sketch s = sketch_of(c);
-    double R[9], p[3], twist[6], along[6], size = 0.0;
-    if (!path_pose(c, clock, R, p) || !path_twist(c, maximum(minimum(clock, c->duration) - before, 0.0), twist))
+    Sketch s = sketch_of(c);
+    Pose T;
+    Vector6 twist;
+    double size = 0.0;
+    if (!path_pose(c, clock, T) || !path_twist(c, maximum(minimum(clock, c->duration) - before, 0.0), twist))
         return CANNOT_SAY;
-    carry_and_linearise(c, positions, p, s.carried, s.jacobian);
-    if (!errors_at(c, s.carried, R, p, s.errors)) return REJECTED;
-    twists_back(c, R, s.errors, s.w);
-    rotate(R, twist, along);
-    rotate(R, twist + 3, along + 3);
+    carry_and_linearise(c, positions, T.p, s.carried, s.jacobian);
+    if (!errors_at(c, s.carried, T, s.errors)) return REJECTED;
+    for (int k = 0; k < c->arms; k++) s.w.col(k) = turned(T.R, -s.errors.col(k)); /* w_k = −R e_k */
     if (c->redundant && c->options->elbows > 0.0) elbow_velocity(c, clock, 0.0, positions, s.wish);
     else if (c->redundant) posture_velocity(c, positions, s.wish);
-    if (!two_velocities(c, s.jacobian, s.w, along, nullptr, c->redundant ? s.wish : nullptr, step, slope)) return REJECTED;
+    if (!two_velocities(c, s.jacobian, s.w, turned(T.R, twist), nullptr, c->redundant ? (double *)s.wish : nullptr, step, slope)) return REJECTED;
     if (c->redundant && !evade(c, positions, slope)) return CANNOT_SAY;
     for (int k = 0; c->redundant && !(c->options->elbows > 0.0) && k < c->arms; k++)
         if (c->arm_size[k] > 6.0) lead_away(c, k, s.jacobian, positions, slope);
@@ -114,78 +108,70 @@ static Trial newton_step(Core *c, double clock, double before, const double *pos
     return size < INFINITY ? FOUND : REJECTED;
 }
 
-/* Least eigenvalue of a symmetric, positive semidefinite 6 × 6 matrix, and its eigenvector, by inverse iteration. */
-static double least_eigenvalue(double G[6][6], double *u) {
-    double trace = 0.0, before = 1.0, size = 1.0, inverse[6];
+/* Least eigenvalue of a symmetric, positive semidefinite matrix, and its eigenvector, by inverse iteration. */
+static double least_eigenvalue(Matrix6 G, Vector6 *found) {
+    const double trace = G.trace();
+    double before = 1.0, size = 1.0, inverse[6];
+    Vector6 u;
     int least = 0;
-    for (int i = 0; i < 6; i++) trace += G[i][i];
     for (int i = 0; i < 6; i++) { /* G = L D Lᵀ, L below the diagonal */
         for (int j = 0; j < i; j++)
-            for (int k = 0; k < j; k++) G[i][j] -= G[i][k] * G[j][k] * inverse[k];
-        for (int j = 0; j < i; j++) G[i][i] -= G[i][j] * G[i][j] * inverse[j];
-        G[i][i] = maximum(G[i][i], EIGEN_ROUNDING * trace);
-        inverse[i] = 1.0 / G[i][i]; /* G[i][j] is an entry of L D */
-        if (G[i][i] < G[least][least]) least = i;
-        u[i] = 0.0;
+            for (int k = 0; k < j; k++) G(i, j) -= G(i, k) * G(j, k) * inverse[k];
+        for (int j = 0; j < i; j++) G(i, i) -= G(i, j) * G(i, j) * inverse[j];
+        G(i, i) = maximum(G(i, i), EIGEN_ROUNDING * trace);
+        inverse[i] = 1.0 / G(i, i); /* G(i, j) is an entry of L D */
+        if (G(i, i) < G(least, least)) least = i;
     }
-    u[least] = 1.0;
+    u = Vector6::Unit(least);
     for (int iteration = 0; iteration < EIGEN_STEPS; iteration++) {
-        before = size, size = 0.0;
+        before = size;
         for (int i = 0; i < 6; i++) {
-            for (int k = 0; k < i; k++) u[i] -= G[i][k] * u[k];
+            for (int k = 0; k < i; k++) u[i] -= G(i, k) * u[k];
             u[i] *= inverse[i];
         }
-        for (int i = 5; i >= 0; i--) {
-            for (int k = i + 1; k < 6; k++) u[i] -= G[k][i] * inverse[i] * u[k];
-            size += u[i] * u[i];
-        }
+        for (int i = 5; i >= 0; i--)
+            for (int k = i + 1; k < 6; k++) u[i] -= G(k, i) * inverse[i] * u[k];
+        size = u.squaredNorm();
     }
-    for (int i = 0; i < 6; i++) u[i] /= sqrt(size);
+    *found = u / sqrt(size);
     return sqrt(before / size);
 }
 
 /* Joint motion that takes arm k to where its reach ends, to first order: Chain.edges. */
-static void find_edge(const Core *c, int k, const double *jacobian, double *edge) {
-    const int start = (int)c->arm_start[k], n = (int)c->arm_size[k];
-    const double *JT = jacobian + 6 * start;
-    double G[6][6], u[6], before[6] = {0}, h = 0.0;
-    for (int i = 0; i < 6; i++)
-        for (int m = 0; m <= i; m++) {
-            G[i][m] = 0.0;
-            for (int j = 0; j < n; j++) G[i][m] += JT[6 * j + i] * JT[6 * j + m];
-        }
-    const double least = least_eigenvalue(G, u);
-    edge += start;
+static void find_edge(const Core *c, int k, const Twists &jacobian, double *edge) {
+    const auto [start, n] = joints_of(c, k);
+    const OfArm J(jacobian + 6 * start, 6, n);
+    Vector6 u, before = Vector6::Zero();
+    double h = 0.0;
+    const double least = least_eigenvalue(J.lazyProduct(J.transpose()), &u);
     for (int j = 0; j < n; j++) {
-        const double *v = JT + 6 * j, *a = v + 3;
-        double first[3], second[3], turn[3];
-        edge[j] = dot3(v, u) + dot3(a, u + 3);
-        cross3(before + 3, v, first);
-        cross3(before, a, second);
-        cross3(before + 3, a, turn);
-        h += edge[j] * (dot3(first, u) + dot3(second, u) + dot3(turn, u + 3));
-        for (int i = 0; i < 6; i++) before[i] += edge[j] * v[i];
+        const Vector6 own = J.col(j);
+        const Vector3 v = own.head<3>(), a = own.tail<3>(), linear = before.head<3>(), angular = before.tail<3>();
+        const double along = own.dot(u);
+        edge[start + j] = along;
+        h += along * ((angular.cross(v) + linear.cross(a)).dot(u.head<3>()) + angular.cross(a).dot(u.tail<3>()));
+        before += along * own;
     }
     const double way = -least / copysign(maximum(fabs(h), least * sqrt(least) / FAR_EDGE), h);
-    for (int j = 0; j < n; j++) edge[j] *= way;
+    for (int j = start; j < start + n; j++) edge[j] *= way;
 }
 
 /* The edges of knot i, from the Jacobians of the latest Newton step; those that are far need not be exact. */
 static void find_edges(const Core *c, int i) {
     double *edges = edges_of(c, i);
     for (int k = 0; k < c->arms; k++) {
-        const int start = (int)c->arm_start[k], end = start + (int)c->arm_size[k];
-        const int far = c->least_pivot[k] > FAR_PIVOT && c->options->room <= FAR_ROOM;
-        if (!far) find_edge(c, k, sketch_of(c).jacobian, edges);
-        for (int j = start; far && j < end; j++) edges[j] = FAR_EDGE;
+        const auto [start, n] = joints_of(c, k);
+        const bool far = c->least_pivot[k] > FAR_PIVOT && c->options->room <= FAR_ROOM;
+        if (far) Vector(edges + start, n, 1).setConstant(FAR_EDGE);
+        else find_edge(c, k, sketch_of(c).jacobian, edges);
     }
 }
 
 /* The way of arm k to the end of its reach, as a multiple of what its joints need. */
 static double room_of(const Core *c, int k, const double *edges) {
-    const int start = (int)c->arm_start[k], end = start + (int)c->arm_size[k];
+    const auto [start, n] = joints_of(c, k);
     double room = 0.0;
-    for (int j = start; j < end; j++) room = maximum(room, fabs(edges[j]) / c->plan_room[j]);
+    for (int j = start; j < start + n; j++) room = maximum(room, fabs(edges[j]) / c->plan_room[j]);
     return room;
 }
 
@@ -204,7 +190,7 @@ static int stretched_arm(const Core *c, int i) {
 static int ends_reach(const Core *c, int last, int made) {
     const double *then = edges_of(c, last), *now = edges_of(c, made), near = BRANCH_WAY * c->options->joint_step;
     for (int k = 0; k < c->arms; k++) {
-        const int start = (int)c->arm_start[k], n = (int)c->arm_size[k];
+        const auto [start, n] = joints_of(c, k);
         const double room = room_of(c, k, now);
         double product = 0.0;
         if (room < 1.0 && room < room_of(c, k, then)) return 1;
@@ -316,13 +302,13 @@ static double jump_cap(const Core *c, const double *after, const double *before,
 
 /* Where the twist jumps at knot i: slopes after it, and the rate at which the joints can take the jump. */
 static int turn_corner(Core *c, int i) {
-    const Sketch s = sketch_of(c);
+    Sketch s = sketch_of(c);
     Knot *k = knot(c, i);
     double *slope = vector_of(c, c->knot_slope, i);
     const double clock = k->clock + 1e-9, *x = vector_of(c, c->knot_positions, i);
     const Trial found = newton_step(c, clock, JUST_BEFORE, x, s.step, s.after);
     if (found == CANNOT_SAY) return 0;
-    if (found != FOUND) memset(s.after, 0, sizeof(double) * (size_t)c->joints);
+    if (found != FOUND) s.after.setZero();
     if (accelerates(c)) {
         int joint = 0;
         double fastest = 0.0;
@@ -361,44 +347,42 @@ static int end_moving(Core *c) {
 }
 
 /* Newton's method from x to a pose; the arm that does not get there, or −1. */
-static int reach_pose(Core *c, const double *R, const double *p, double *x) {
-    static const double still[6] = {};
-    const Sketch s = sketch_of(c);
+static int reach_pose(Core *c, const Pose &T, double *x) {
+    Sketch s = sketch_of(c);
     double largest = INFINITY;
     int arm = 0;
     for (int i = 0; i <= STARTING_STEPS; i++) {
-        carry_and_linearise(c, x, p, s.carried, s.jacobian);
-        for (int k = 0; k < c->arms; k++) s.errors[6 * k] = NAN;
-        const int known = errors_at(c, s.carried, R, p, s.errors);
+        carry_and_linearise(c, x, T.p, s.carried, s.jacobian);
+        s.errors.setConstant(NAN);
+        const int known = errors_at(c, s.carried, T, s.errors);
         largest = -1.0;
         for (int k = c->arms - 1; k >= 0; k--) {
-            const double size = known || isfinite(s.errors[6 * k]) ? largest_size(s.errors + 6 * k, 6) : INFINITY;
+            const double size = s.errors.col(k).allFinite() ? largest_size(s.errors.col(k).data(), 6) : INFINITY;
             if (size >= largest) largest = size, arm = k;
         }
-        if (!known) break;
-        if (largest <= 1e-10 || i == STARTING_STEPS) break;
-        twists_back(c, R, s.errors, s.w);
-        if (!two_velocities(c, s.jacobian, s.w, still, nullptr, nullptr, s.step, s.after)) break;
+        if (!known || largest <= 1e-10 || i == STARTING_STEPS) break;
+        for (int k = 0; k < c->arms; k++) s.w.col(k) = turned(T.R, -s.errors.col(k));
+        if (!two_velocities(c, s.jacobian, s.w, Vector6::Zero(), nullptr, nullptr, s.step, s.after)) break;
         const double length = largest_size(s.step, c->joints);
         const double share = length > LONGEST_STEP ? LONGEST_STEP / length : 1.0;
-        for (int j = 0; j < c->joints; j++) x[j] += share * s.step[j];
+        Vector(x, c->joints, 1) += share * s.step;
     }
     return largest < 1e-6 ? -1 : arm;
 }
 
 /* The object rests there if the chain does not reach it. */
 static int first_knot(Core *c, double clock) {
-    double R[9], p[3], *x = vector_of(c, c->knot_positions, 0), *slope = vector_of(c, c->knot_slope, 0);
-    const size_t bytes = sizeof(double) * (size_t)c->joints;
-    if (!path_pose(c, clock, R, p)) return 0;
-    memcpy(x, c->positions, bytes);
-    const int arm = reach_pose(c, R, p, x);
-    memset(slope, 0, bytes);
-    if (arm >= 0) memset(c->least_pivot, 0, sizeof(double) * (size_t)c->arms);
+    Pose T;
+    Vector x(vector_of(c, c->knot_positions, 0), c->joints, 1), slope(vector_of(c, c->knot_slope, 0), c->joints, 1);
+    if (!path_pose(c, clock, T)) return 0;
+    x = c->positions;
+    const int arm = reach_pose(c, T, x);
+    slope.setZero();
+    if (arm >= 0) c->least_pivot.setZero();
     if (arm < 0) {
         const Trial found = newton_step(c, clock, 0.0, x, sketch_of(c).step, slope);
         if (found == CANNOT_SAY) return 0;
-        if (found != FOUND) memset(slope, 0, bytes), memset(c->least_pivot, 0, sizeof(double) * (size_t)c->arms);
+        if (found != FOUND) slope.setZero(), c->least_pivot.setZero();
     }
     find_edges(c, 0);
     bound_by_limits(c, -1, 0, clock, 1.0);

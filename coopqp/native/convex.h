@@ -26,20 +26,21 @@ enum ShapeKind { BOX, CYLINDER, HULL };
 /* A shape is placed at zero positions of the joints, and where the joints are placed. */
 struct Shape {
     int kind = BOX, joint = -1; /* the joint that carries it; -1 for the world */
-    double half[3] = {}, radius = 0.0; /* of a cylinder: radius, -, half of its length */
-    double R0[9] = {}, p0[3] = {}, R[9] = {}, p[3] = {};
+    Vector3 half = Vector3::Zero();
+    double radius = 0.0; /* of a cylinder: radius, -, half of its length */
+    Pose at_zero, T;
     std::vector<double> corners; /* of a hull */
 };
 
 /* The point of the core that is farthest along a direction. */
-inline void farthest(const Shape &s, const double *way, double sign, double *point) {
-    double d[3], at[3];
-    for (int i = 0; i < 3; i++) d[i] = sign * (s.R[i] * way[0] + s.R[3 + i] * way[1] + s.R[6 + i] * way[2]);
+inline Vector3 farthest(const Shape &s, const Vector3 &way) {
+    const Vector3 d = s.T.R.transpose() * way;
+    Vector3 at = s.half;
     if (s.kind == BOX) {
         for (int i = 0; i < 3; i++) at[i] = d[i] < 0.0 ? -s.half[i] : s.half[i];
     } else if (s.kind == CYLINDER) {
         const double across = sqrt(d[0] * d[0] + d[1] * d[1]), share = across > 0.0 ? s.half[0] / across : 0.0;
-        at[0] = share * d[0], at[1] = share * d[1], at[2] = d[2] < 0.0 ? -s.half[2] : s.half[2];
+        at = {share * d[0], share * d[1], d[2] < 0.0 ? -s.half[2] : s.half[2]};
     } else {
         double most = -INFINITY;
         const double *best = s.corners.data();
@@ -47,27 +48,25 @@ inline void farthest(const Shape &s, const double *way, double sign, double *poi
             const double far = c[0] * d[0] + c[1] * d[1] + c[2] * d[2];
             if (far > most) most = far, best = c;
         }
-        memcpy(at, best, sizeof at);
+        at = Eigen::Map<const Vector3>(best);
     }
-    rotate(s.R, at, point);
-    for (int i = 0; i < 3; i++) point[i] += s.p[i];
+    return s.T.p + s.T.R * at;
 }
 
 /* Up to four points b - a of two cores, the point b of each, and the shares of their nearest point to the origin. */
 struct Simplex {
     int size = 0;
-    double w[4][3], b[4][3], share[4];
+    Vector3 w[4], b[4];
+    double share[4];
 };
 
 /* Shares of the point of some of its points that is nearest to the origin, in `share`; its square. */
 inline double nearest_of(const Simplex &s, const int *which, int size, double *share) {
-    const double *a = s.w[which[0]];
-    double ab[3], ac[3], v[3];
+    const Vector3 &a = s.w[which[0]];
     share[0] = 1.0, share[1] = share[2] = 0.0;
-    if (size == 1) return dot3(a, a);
-    const double *b = s.w[which[1]], *c = s.w[which[size - 1]];
-    for (int i = 0; i < 3; i++) ab[i] = b[i] - a[i], ac[i] = c[i] - a[i];
-    const double d1 = -dot3(ab, a), bb = dot3(ab, ab), d2 = -dot3(ac, a), cc = dot3(ac, ac), bc = dot3(ab, ac);
+    if (size == 1) return a.squaredNorm();
+    const Vector3 ab = s.w[which[1]] - a, ac = s.w[which[size - 1]] - a;
+    const double d1 = -ab.dot(a), bb = ab.dot(ab), d2 = -ac.dot(a), cc = ac.dot(ac), bc = ab.dot(ac);
     if (size == 3) {
         const double d3 = d1 - bb, d4 = d2 - bc, d5 = d1 - bc, d6 = d2 - cc; /* of b, and of c */
         const double va = d3 * d6 - d5 * d4, vb = d5 * d2 - d1 * d6, vc = d1 * d4 - d3 * d2, all = va + vb + vc;
@@ -88,24 +87,19 @@ inline double nearest_of(const Simplex &s, const int *which, int size, double *s
         share[1] = bb > 0.0 ? fmin(fmax(d1 / bb, 0.0), 1.0) : 0.0;
     }
     share[0] = 1.0 - share[1] - share[2];
-    for (int i = 0; i < 3; i++) v[i] = a[i] + share[1] * ab[i] + (size == 3 ? share[2] * ac[i] : 0.0);
-    return dot3(v, v);
+    return (a + share[1] * ab + share[2] * ac).squaredNorm();
 }
 
 /* Whether the origin lies on the other side of the face opposite to a point of a tetrahedron. */
 inline bool beyond_face(const Simplex &s, int opposite) {
     const int i = opposite == 0 ? 1 : 0, j = opposite <= 1 ? 2 : 1, k = opposite == 3 ? 2 : 3;
-    double u[3], v[3], n[3], to[3];
-    for (int m = 0; m < 3; m++) {
-        u[m] = s.w[j][m] - s.w[i][m], v[m] = s.w[k][m] - s.w[i][m], to[m] = s.w[opposite][m] - s.w[i][m];
-    }
-    n[0] = u[1] * v[2] - u[2] * v[1], n[1] = u[2] * v[0] - u[0] * v[2], n[2] = u[0] * v[1] - u[1] * v[0];
-    return !(dot3(n, s.w[i]) * dot3(n, to) < 0.0); /* a flat one has no inside */
+    const Vector3 &a = s.w[i], n = (s.w[j] - a).cross(s.w[k] - a);
+    return !(n.dot(a) * n.dot(s.w[opposite] - a) < 0.0); /* a flat one has no inside */
 }
 
 /* The point v of the simplex that is nearest to the origin; points that it does not need are dropped. Its square, or 0
  * where the origin lies inside. */
-inline double reduce(Simplex &s, double *v) {
+inline double reduce(Simplex &s, Vector3 &v) {
     static const int every[4] = {0, 1, 2, 3};
     double best = INFINITY, share[4] = {0};
     if (s.size < 4) {
@@ -125,13 +119,11 @@ inline double reduce(Simplex &s, double *v) {
         if (!outside) return 0.0;
     }
     int kept = 0;
-    v[0] = v[1] = v[2] = 0.0;
+    v.setZero();
     for (int i = 0; i < s.size; i++) {
         if (!(share[i] > 0.0)) continue;
-        memmove(s.w[kept], s.w[i], sizeof s.w[i]), memmove(s.b[kept], s.b[i], sizeof s.b[i]);
-        s.share[kept] = share[i];
-        for (int m = 0; m < 3; m++) v[m] += share[i] * s.w[kept][m];
-        kept++;
+        v += share[i] * s.w[i];
+        s.w[kept] = s.w[i], s.b[kept] = s.b[i], s.share[kept++] = share[i];
     }
     s.size = kept;
     return best;
@@ -140,28 +132,26 @@ inline double reduce(Simplex &s, double *v) {
 /* A lower bound of the distance of two shapes. `way`, a unit vector from the first to the second, is where the search
  * begins, and becomes that of the bound. It ends with a bound of `enough`, and with `tolerance` of what is left.
  * `point`, unless nullptr, becomes a point of the second shape that is nearest to the first; NaN if they touch. */
-inline double least_gap(const Shape &first, const Shape &second, double *way, double enough, double tolerance,
-                        double *point) {
+inline double least_gap(const Shape &first, const Shape &second, Vector3 &way, double enough, double tolerance, Vector3 *point) {
     const double radii = first.radius + second.radius;
     Simplex s;
-    double best = -INFINITY, n[3] = {way[0], way[1], way[2]}, v[3], near[3] = {NAN, NAN, NAN};
+    double best = -INFINITY;
+    Vector3 n = way, v, near = Vector3::Constant(NAN);
     for (int i = 0; i < MOST_GJK; i++) {
-        double a[3], *w = s.w[s.size], *b = s.b[s.size];
-        farthest(first, n, 1.0, a);
-        farthest(second, n, -1.0, b);
-        for (int m = 0; m < 3; m++) w[m] = b[m] - a[m];
-        const double gap = dot3(n, w) - radii;
-        if (gap > best) best = gap, memcpy(way, n, sizeof n);
+        Vector3 &w = s.w[s.size], &b = s.b[s.size];
+        b = farthest(second, -n);
+        w = b - farthest(first, n);
+        const double gap = n.dot(w) - radii;
+        if (gap > best) best = gap, way = n;
         if (best >= enough) break;
         s.size++;
         const double size = sqrt(reduce(s, v));
         if (!(size > CORES_TOUCH)) break;
-        for (int m = 0; m < 3; m++) n[m] = v[m] / size, near[m] = -second.radius * n[m];
-        for (int k = 0; k < s.size; k++)
-            for (int m = 0; m < 3; m++) near[m] += s.share[k] * s.b[k][m];
+        n = v / size, near = -second.radius * n;
+        for (int k = 0; k < s.size; k++) near += s.share[k] * s.b[k];
         if (size - radii - best <= GJK_FLOOR + tolerance * size || s.size == 4) break;
     }
-    if (point) memcpy(point, near, sizeof near);
+    if (point) *point = near;
     return best;
 }
 

@@ -1,9 +1,11 @@
 /* The compiled step: what its files share. No Python here.
  *
- * layout.py lists the memory, three blocks in one piece that each Core owns: fields are members of Core. Vectors of joints have
- * one number per joint [rad or m]; rotations are row major; twists are [linear; angular].
+ * layout.py lists the memory, three blocks in one piece that each Core owns: fields are members of Core, seen as
+ * Eigen's vectors and matrices (views.h). Vectors of joints have one number per joint [rad or m]; twists are [linear; angular].
+ * Sizes inside a step are fixed or bounded: nothing of it is on the heap, and each build has Eigen under a name of its own.
  *
- *   spatial.h        rotations, logarithm, exponential       kinematics.cpp   where the arms carry the object, Jacobians
+ *   spatial.h        poses, logarithm, exponential           frames.h         joint frames of an arm, with
+ *                                                            kinematics.cpp where the arms carry the object, Jacobians
  *   paths.cpp        pose and twist of the object's path     chain.cpp        errors, corrections, joint velocities
  *   limits.cpp       admissible velocities, rates            program.cpp      the condensed QP and its answer
  *   ldp.cpp          least-distance programs                 watch.cpp        supervision, drift, forces
@@ -25,6 +27,9 @@
 #include <math.h>
 #include <stddef.h>
 #include <string.h>
+
+#include <algorithm>
+#include <utility>
 
 #include "layout.h"
 #include "views.h"
@@ -55,8 +60,8 @@ struct Core {
     const double *path_numbers = nullptr;
     double duration = 0.0;
     Minding *minding = nullptr; /* of the forces between the arms, see minding.h; nullptr where nobody minds them */
-    /* Calls into Python; 0 if they fail. `out` takes R (9) and p (3), or with `twist` six numbers. */
-    int (*own_path)(Core *c, double clock, int twist, double *out) = nullptr;
+    /* Calls into Python; 0 if they fail. The pose comes into `own_pose`, or with `twist` six numbers. */
+    int (*own_path)(Core *c, double clock, int twist) = nullptr;
     /* May lower cap and decrease of a new knot; nullptr for none. `slot` is its place in the ring. */
     int (*bound_knot)(Core *c, int slot) = nullptr;
     /* May add self-motion to `evading_slope` at `evading_positions`; nullptr for none. 0 if it fails. */
@@ -90,8 +95,7 @@ struct Arithmetic {
     int (*move_grasp)(Core *c, const double *shift);
     void (*mind)(Core *c, const double *wrenches, double dt);
     void (*minded)(Core *c);
-    void (*carry)(const Core *c, const double *positions, double *carried);
-    void (*linearise)(const Core *c, const double *positions, const double *about, double *carried, double *jacobian);
+    void (*linearise)(const Core *c, const double *positions, const Vector3 &about, Pose *carried, double *jacobian);
     int (*least_distance)(int n, int m, const double *A, const double *low, const double *high, const double *lb,
                           const double *ub, double reach, double *x, double *y, double *work);
     /* Go over to the way to a new target if the rate of its first step need not fall, or where the object rests: 1, with

@@ -6,22 +6,28 @@
 #include "core.h"
 #include "spatial.h"
 
+/* The joints of an arm. */
+struct Joints {
+    int start, n;
+};
+static inline Joints joints_of(const Core *c, int k) { return {(int)c->arm_start[k], (int)c->arm_size[k]}; }
+
 /* -- kinematics.cpp ------------------------------------------------------------------------------------ */
 
 /* Positions close to these are cheap from now on. */
 static void stay_near(Core *c, const double *positions);
-/* O_k: the object as each arm carries it, R (9) then p (3), 12 numbers per arm. */
-static void carry(const Core *c, const double *positions, double *carried);
-/* The same and Jᵀ (joints, 6): twist of the object as carried, at the point `about`, in world axes. */
-static void carry_and_linearise(const Core *c, const double *positions, const double *about, double *carried,
+/* O_k: the object as each arm carries it. */
+static void carry(const Core *c, const double *positions, Pose *carried);
+/* The same and J (6, joints): twist of the object as carried, at the point `about`, in world axes. */
+static void carry_and_linearise(const Core *c, const double *positions, const Vector3 &about, Pose *carried,
                                 double *jacobian);
 
 /* -- paths.cpp ----------------------------------------------------------------------------------------- */
 
-static int path_pose(Core *c, double clock, double *R, double *p);
-static int path_twist(Core *c, double clock, double *twist);
-/* log(T(τ)⁻¹ T(τ + span)) / span; `R`, `p` is T(τ). */
-static int path_increment(Core *c, double clock, double span, const double *R, const double *p, double *twist);
+static int path_pose(Core *c, double clock, Pose &T);
+static int path_twist(Core *c, double clock, Ref6 twist);
+/* log(T(τ)⁻¹ T(τ + span)) / span */
+static int path_increment(Core *c, double clock, double span, const Pose &T, Ref6 twist);
 /* Whether the path is a user's, which Python knows. */
 static int own_path(const Core *c);
 /* Whether the pose of a user's path, or its twist, may jump between two clocks; seek_from and seek_to close in on it by
@@ -37,21 +43,21 @@ static double next_breakpoint(const Core *c, double clock);
 
 /* -- chain.cpp ----------------------------------------------------------------------------------------- */
 
-/* e_k = log(R⁻¹ O_k), 6 per arm; 0 near half a turn or for numbers that are not finite. */
-static int errors_at(const Core *c, const double *carried, const double *R, const double *p, double *errors);
+/* e_k = log(T⁻¹ O_k); 0 near half a turn or for numbers that are not finite. */
+static int errors_at(const Core *c, const Pose *carried, const Pose &T, Twists &errors);
 /* ē = Σ W_k e_k */
-static void common_error(const Core *c, const double *errors, double *common);
+static Vector6 common_error(const Core *c, const Twists &errors);
 /* Joint velocities v0, v1 for world twists about the point of the Jacobian: w0 has one per arm, w1 is common to all; near
- * the null-space wishes u0, u1 (nullptr for none). 0 if an arm is singular. */
-static int two_velocities(const Core *c, const double *jacobian, const double *w0, const double *w1, const double *u0,
+ * the null-space wishes u0, u1 (nullptr for none). 0 if an arm is singular; the smallest pivots are kept. */
+static int two_velocities(Core *c, const double *jacobian, const Twists &w0, const Vector6 &w1, const double *u0,
                           const double *u1, double *v0, double *v1);
 
 /* -- watch.cpp ----------------------------------------------------------------------------------------- */
 
 /* Compare a sample with the command; lowers watch_cap and sets hold, faults and the reason of the proposal.
- * `positions` are measured, near the commanded ones; `q` is the configuration as measured; `away` (6 arms) is log of the
+ * `positions` are measured, near the commanded ones; `q` is the configuration as measured; `away` is log of the
  * object as measured from as commanded, per arm. */
-static void watch_sample(Core *c, const double *positions, const double *q, const double *away, double dt);
+static void watch_sample(Core *c, const double *positions, const double *q, const Twists &away, double dt);
 static void watch_reset(Core *c);
 
 /* -- apart.cpp ----------------------------------------------------------------------------------------- */
@@ -96,7 +102,7 @@ static void posture_velocity(Core *c, const double *positions, double *v);
 /* -- step.cpp ------------------------------------------------------------------------------------------ */
 
 /* Distance of two poses [m]; 1 rad counts as TURN_LENGTH. */
-static double pose_distance(const double *R0, const double *p0, const double *R1, const double *p1);
+static double pose_distance(const Pose &A, const Pose &B);
 /* The arms hold in this step: for a reason, with an arm (or an index) and a number. */
 static void refuse(Core *c, Reason reason, int index, double a);
 

@@ -9,11 +9,10 @@ import runpy
 from pathlib import Path
 from typing import Any
 
-
 #: Types of fields of such a size, in views.h; others are pointers.
 VIEWS = {
-    "n": "Vector", "nv": "Vector", "nq": "Vector", "6": "Twist", "6 * n": "Twists", "6 * nv": "Twists", "3": "Point",
-    "9": "Rotation", "36": "Square",
+    "n": "Vector", "nv": "Vector", "nq": "Vector", "6": "Twist", "6 * n": "Twists", "6 * nv": "Twists",
+    "3 * n": "Points", "12": "Pose *", "12 * n": "Pose *", "36": "Square",
 }  # fmt: skip
 
 

@@ -1,5 +1,6 @@
-/* Where the arms carry the object, and how fast: a product of joint frames whose z axes are the joints' axes. */
+/* Where the arms carry the object, and how fast. */
 
+#include "frames.h"
 #include "functions.h"
 
 /* Sine and cosine of a joint's position: from those of a position close by, to rounding, or from scratch. */
@@ -23,62 +24,25 @@ static void stay_near(Core *c, const double *positions) {
     }
 }
 
-/* Four numbers side by side, of which three are a vector; GCC and Clang make them what the processor has. */
-typedef double quad __attribute__((vector_size(32)));
-/* A frame in the world: its axes and its origin. */
-struct Frame {
-    quad x, y, z, p;
-};
-
-/* From the frame of the joint before to the frame of joint j at position x: R ← R C Rot(z, x), p ← p + R c. */
-static inline void advance(const Core *c, int j, double x, Frame *f) {
-    const double *C = c->link_R + 9 * j, *link = c->link_p + 3 * j;
-    const quad mx = f->x * C[0] + f->y * C[3] + f->z * C[6], my = f->x * C[1] + f->y * C[4] + f->z * C[7];
-    f->p += f->x * link[0] + f->y * link[1] + f->z * link[2];
-    f->z = f->x * C[2] + f->y * C[5] + f->z * C[8];
-    if (c->prismatic[j] != 0.0) {
-        f->x = mx, f->y = my;
-        f->p += f->z * x;
-        return;
+/* Columns of one arm's J, the twists that its joints give to a point, in world axes; and the object as it carries it. */
+static void follow_arm(const Core *c, int k, const double *positions, const Vector3 *about, Pose *O, double *jacobian) {
+    Frame f;
+    const auto [start, n] = joints_of(c, k);
+    for (int j = start; j < start + n; j++) {
+        const bool slides = c->prismatic[j] != 0.0;
+        double s = 0.0, co = 1.0;
+        if (!slides) turn(c, j, positions[j], &s, &co);
+        advance(f, c->link_R + 9 * j, c->link_p + 3 * j, slides, positions[j], s, co);
+        if (jacobian) twist_of(f.axis(), f.origin(), slides, *about, jacobian + 6 * j);
     }
-    double s, co;
-    turn(c, j, x, &s, &co);
-    f->x = mx * co + my * s;
-    f->y = my * co - mx * s;
+    if (O) *O = held_at(f, c->object[k]);
 }
 
-/* Rows of Jᵀ of one arm, the twists that its joints give to a point, in world axes; and the object as it carries it. */
-static void follow_arm(const Core *c, int k, const double *positions, const double *about, double *O, double *jacobian) {
-    Frame f = {{1, 0, 0, 0}, {0, 1, 0, 0}, {0, 0, 1, 0}, {0, 0, 0, 0}};
-    const int start = (int)c->arm_start[k], end = start + (int)c->arm_size[k];
-    for (int j = start; j < end; j++) {
-        advance(c, j, positions[j], &f);
-        if (!jacobian) continue;
-        double *row = jacobian + 6 * j, axis[3] = {f.z[0], f.z[1], f.z[2]};
-        if (c->prismatic[j] != 0.0) {
-            memcpy(row, axis, sizeof axis);
-            row[3] = row[4] = row[5] = 0.0;
-        } else {
-            double arm[3] = {about[0] - f.p[0], about[1] - f.p[1], about[2] - f.p[2]};
-            cross(axis, arm, row);
-            memcpy(row + 3, axis, sizeof axis);
-        }
-    }
-    if (!O) return;
-    const double *Y = c->object_R + 9 * k, *y = c->object_p + 3 * k;
-    for (int i = 0; i < 3; i++) {
-        const double row[3] = {f.x[i], f.y[i], f.z[i]};
-        for (int m = 0; m < 3; m++) O[3 * i + m] = row[0] * Y[m] + row[1] * Y[3 + m] + row[2] * Y[6 + m];
-        O[9 + i] = f.p[i] + dot3(row, y);
-    }
+static void carry(const Core *c, const double *positions, Pose *carried) {
+    for (int k = 0; k < c->arms; k++) follow_arm(c, k, positions, nullptr, carried + k, nullptr);
 }
 
-static void carry(const Core *c, const double *positions, double *carried) {
-    for (int k = 0; k < c->arms; k++) follow_arm(c, k, positions, nullptr, carried + 12 * k, nullptr);
-}
-
-static void carry_and_linearise(const Core *c, const double *positions, const double *about, double *carried,
+static void carry_and_linearise(const Core *c, const double *positions, const Vector3 &about, Pose *carried,
                                 double *jacobian) {
-    for (int k = 0; k < c->arms; k++)
-        follow_arm(c, k, positions, about, carried ? carried + 12 * k : nullptr, jacobian);
+    for (int k = 0; k < c->arms; k++) follow_arm(c, k, positions, &about, carried ? carried + k : nullptr, jacobian);
 }

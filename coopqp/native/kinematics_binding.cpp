@@ -2,6 +2,8 @@
  * along a way; singular values of many matrices (values.cpp). See arm.h for the layout of the numbers; batch_plain.py
  * says the same in NumPy. */
 
+#include <Eigen/LU>
+
 #include "arm.h"
 #include "arrays.h"
 #include "values.h"
@@ -22,12 +24,15 @@ static Arm arm_of(const In &numbers) {
     return {(int)joints, numbers.data, numbers.data + PER_JOINT * joints};
 }
 
+static Pose *poses_in(Out &numbers) { return reinterpret_cast<Pose *>(numbers.data); }
+static const Pose *poses_in(const In &numbers) { return reinterpret_cast<const Pose *>(numbers.data); }
+
 /* place(arm, q, poses, jacobians) */
 static void place_all(const In &arm, const In &q, Out &poses, Out &jacobians) {
     const Arm a = arm_of(arm);
     const Py_ssize_t count = poses.size / 12, n = a.joints;
     check_fit(poses.size == 12 * count && q.size == n * count && jacobians.size == 6 * q.size);
-    for (Py_ssize_t i = 0; i < count; i++) place(&a, q.data + i * n, poses.data + 12 * i, jacobians.data + 6 * i * n);
+    for (Py_ssize_t i = 0; i < count; i++) poses_in(poses)[i] = place(a, q.data + i * n, jacobians.data + 6 * i * n);
 }
 
 /* solve(arm, poses, q, residuals, tolerance, steps, longest, damping) */
@@ -38,19 +43,21 @@ static void solve_all(const In &arm, const In &poses, Out &q, Out &residuals, do
     check_fit(poses.size == 12 * count && q.size == n * count);
     nb::gil_scoped_release released;
     for (Py_ssize_t i = 0; i < count; i++)
-        residuals.data[i] = solve(&a, poses.data + 12 * i, q.data + i * n, tolerance, steps, longest, damping);
+        residuals.data[i] = solve(a, poses_in(poses)[i], q.data + i * n, tolerance, steps, longest, damping);
 }
 
 /* derivatives(arm, q, twists, slopes of twists, slopes, curvatures) */
 static void derivatives_all(const In &arm, const In &q, const In &twists, const In &twist_slopes, Out &slopes,
                             Out &curvatures) {
     const Arm a = arm_of(arm);
+    using Given = Eigen::Map<const Vector6>;
     const Py_ssize_t count = twists.size / 6, n = a.joints;
     check_fit(n >= 6 && twists.size == 6 * count && twist_slopes.size == twists.size && q.size == n * count &&
               slopes.size == q.size && curvatures.size == q.size);
     nb::gil_scoped_release released;
     for (Py_ssize_t i = 0, j = 0; i < count; i++, j += n)
-        derivatives(&a, q.data + j, twists.data + 6 * i, twist_slopes.data + 6 * i, slopes.data + j, curvatures.data + j);
+        derivatives(a, q.data + j, Given(twists.data + 6 * i), Given(twist_slopes.data + 6 * i), slopes.data + j,
+                    curvatures.data + j);
 }
 
 /* singular_values(matrices, rows, columns, values) */
@@ -86,8 +93,8 @@ static void walk_all(const In &arm, const In &path, Out &walked, Out &reached, d
         Py_ssize_t k = 1;
         for (; k < poses; k++, q += n) {
             memcpy(q + n, q, size);
-            const double *from = path.data + 12 * (k - 1);
-            if (!step_to(&a, from, from + 12, q + n, tolerance, longest, halvings)) break;
+            const Pose *from = poses_in(path) + k - 1;
+            if (!step_to(a, from[0], from[1], q + n, tolerance, longest, halvings)) break;
         }
         reached.data[i] = (double)(k - 1);
         for (; k < poses; k++, q += n) memcpy(q + n, q, size);

@@ -117,8 +117,8 @@ def _fields(text: str) -> tuple[tuple[str, str], ...]:
 
 #: The fields of each block: name and size, in C++. A size that begins with a struct is of a field of such structs.
 CONFIG = _fields(
-    "arm_start n; arm_size n; link_R 9 * nv; link_p 3 * nv; prismatic nv; continuous nv; q_index nv; object_R 9 * n; "
-    "object_p 3 * n; tool_p 3 * n; scale nv; places 12 * n; shares 6 * n; low nv; high nv; speed nv; acceleration nv; "
+    "arm_start n; arm_size n; link_R 9 * nv; link_p 3 * nv; prismatic nv; continuous nv; q_index nv; object 12 * n; "
+    "tool_p 3 * n; scale nv; places 12 * n; shares 6 * n; low nv; high nv; speed nv; acceleration nv; "
     "unit unknowns; at_grasps 36; levers 3 * n; softness nv; posture_cap nv; posture_bounded nv; posture_middle nv; "
     "plan_speed nv; plan_acceleration nv; plan_jump nv; plan_room nv; slope_change nv; most_move nv; options Options"
 )
@@ -128,13 +128,13 @@ STATE = _fields(
     "quiet_ahead_centre nv; quiet_ahead_reach nv; watch Watch; deviation 6 * n; away 6 * n; away_step 6 * n; noise n; "
     "stalled n; widest n; lost n; seen nq; history 2 * nv * past; slow_drift 6 * n; lag 6 * n; apart 6 * n; "
     "drift_last nv; lag_base 6; lag_told 6; lag_way 6; deflection nv; way nv; commanded nv; forces n; "
-    "slow_forces n; ahead Ahead; ahead_R 9 * n; ahead_p 3 * n; "
+    "slow_forces n; ahead Ahead; ahead_object 12 * n; "
     "kinks MOST_KINKS; seek_low 12; seek_high 12; told_velocity nv; knots Knot * MOST_KNOTS; "
     "knot_positions nv * MOST_KNOTS; knot_slope nv * MOST_KNOTS; knot_curvature nv * MOST_KNOTS; "
     "knot_edges nv * MOST_KNOTS"
 )
 WORK = _fields(
-    "proposal Proposal; own_pose 12; near_x nv; near_sin nv; near_cos nv; carried 12 * n; jacobian 6 * nv; R 9; p 3; "
+    "proposal Proposal; own_pose 12; near_x nv; near_sin nv; near_cos nv; carried 12 * n; jacobian 6 * nv; pose 12; "
     "along 6; path 6; measured 6; measured_positions nv; measured_carried 12 * n; measured_away 6 * n; "
     "measured_moved 6 * n; posture_work 7 * nv; common 6; errors 6 * n; grasp 6 * n; offsets 6 * n; left_over 6 * n; "
     "foresees 6 * n; made 6 * n; best_offsets 6 * n; best_foresees 6 * n; best_guess nv; null_along nv; "

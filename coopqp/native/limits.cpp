@@ -71,10 +71,8 @@ static int well_inside(const Core *c, double h) {
 
 /* G v of one further row */
 static double further(const Core *c, int row, const double *v) {
-    const double *G = c->further + c->joints * row;
-    double sum = 0.0;
-    for (int j = 0; j < c->joints; j++) sum += G[j] * v[j];
-    return sum;
+    using Numbers = Eigen::Map<const Eigen::VectorXd>;
+    return Numbers(c->further + c->joints * row, c->joints).dot(Numbers(v, c->joints));
 }
 
 static int within(double x, double low, double high, double tolerance) {

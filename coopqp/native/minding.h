@@ -10,37 +10,46 @@
 #define PALM_BOUND 24
 #define PALM (2 * PALM_BOUND)
 
+/* What pushes the object, in the world: now, before it moved, and at the last contact; the way back from it, its impulse. */
+template <typename V>
+struct PushOf {
+    V now, before, last, back, impulse;
+};
+/* Place, velocity and acceleration of the payload. */
+template <typename V>
+struct TravelOf {
+    V place, velocity, acceleration;
+};
+
 struct MindingArrays {
-    Minding *m;                                                        /* the scalars */
-    double *silent;                                                    /* N */
-    double *seen, *internal, *shift, *drift, *target, *squeezed;       /* 6 N each */
-    double *internal_of, *yields;                                      /* (6 N, 6 N) each */
-    double *palms;                                                     /* PALM N */
-    double *felt, *held, *off_servos, *off_last, *off_step, *off_drift; /* 6 N each; see residual.cpp */
-    double *off_noise;                                                 /* N */
-    double *compliances;                                               /* (6, 6) N */
-    double *carries;                                                   /* (6 N, 3) */
-    double *unfed_of;                                                  /* (6 N, 6 N) */
-    double *reference;                                                 /* 12: R and p of the object as asked for */
-    double *centre;                                                    /* 3: of the payload, in the object */
-    double *travel;                                                    /* its place, velocity and acceleration, 3 each */
-    double *push;                                                      /* 3 now, 3 before it moved, 3 of the last contact, the way back from it, the impulse; see contact() */
+    using Square = Eigen::Map<Eigen::Matrix<double, Eigen::Dynamic, Eigen::Dynamic, Eigen::RowMajor>>;
+    Minding *m;                                              /* the scalars */
+    double *silent;                                          /* N */
+    Twists seen, internal, shift, drift, target, squeezed;   /* wrenches, and twists */
+    Square internal_of, yields;                              /* (6 N, 6 N) each */
+    double *palms;                                           /* PALM N */
+    Twists felt, held, off_servos, off_last, off_step, off_drift; /* see residual.cpp */
+    double *off_noise;                                       /* N */
+    double *compliances;                                     /* (6, 6) N */
+    Eigen::Map<Eigen::Matrix<double, Eigen::Dynamic, 3, Eigen::RowMajor>> carries; /* (6 N, 3) */
+    Square unfed_of;                                         /* (6 N, 6 N) */
+    Pose *reference;                                         /* of the object as asked for */
+    Vector3 *centre;                                         /* of the payload, in the object */
+    TravelOf<Vector3> *travel;
+    PushOf<Vector3> *push;
 };
 
 static inline MindingArrays minding_of(int arms, Minding *m) {
     const int n = 6 * arms;
-    MindingArrays f;
-    f.m = m;
-    f.silent = reinterpret_cast<double *>(m + 1);
-    f.seen = f.silent + arms, f.internal = f.seen + n, f.shift = f.internal + n, f.drift = f.shift + n;
-    f.target = f.drift + n, f.squeezed = f.target + n;
-    f.internal_of = f.squeezed + n, f.yields = f.internal_of + (size_t)n * (size_t)n;
-    f.palms = f.yields + (size_t)n * (size_t)n;
-    f.felt = f.palms + PALM * arms, f.held = f.felt + n, f.off_servos = f.held + n, f.off_last = f.off_servos + n;
-    f.off_step = f.off_last + n, f.off_drift = f.off_step + n, f.off_noise = f.off_drift + n, f.compliances = f.off_noise + arms;
-    f.carries = f.compliances + 6 * n, f.unfed_of = f.carries + 3 * n;
-    f.reference = f.unfed_of + (size_t)n * (size_t)n, f.centre = f.reference + 12, f.travel = f.centre + 3, f.push = f.travel + 9;
-    return f;
+    double *at = reinterpret_cast<double *>(m + 1);
+    const auto take = [&at](int size) { return (at += size) - size; };
+    const auto twists = [&] { return Twists(take(n), 6, arms); };
+    const auto square = [&] { return MindingArrays::Square(take(n * n), n, n); };
+    return {m, take(arms), twists(), twists(), twists(), twists(), twists(), twists(), square(), square(),
+            take(PALM * arms), twists(), twists(), twists(), twists(), twists(), twists(), take(arms),
+            take(6 * n), {take(3 * n), n, 3}, square(), reinterpret_cast<Pose *>(take(12)),
+            reinterpret_cast<Vector3 *>(take(3)), reinterpret_cast<TravelOf<Vector3> *>(take(9)),
+            reinterpret_cast<PushOf<Vector3> *>(take(15))};
 }
 
 /* Numbers of the whole memory. */

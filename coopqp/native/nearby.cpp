@@ -89,8 +89,8 @@ Shapes::Shapes(const In &axes, const In &carriers, const In &shapes, const std::
     check_fit(axes.size == 6 * carriers.size && (size_t)shapes.size == NUMBERS * count && pairs.size % 2 == 0);
     joint.resize(n), shape.resize(count), stamps.resize(count), x.resize(n);
     for (size_t j = 0; j < n; j++) {
-        memcpy(joint[j].moment, axes.data + 6 * j, 3 * sizeof(double));
-        memcpy(joint[j].axis, axes.data + 6 * j + 3, 3 * sizeof(double));
+        joint[j].moment = Eigen::Map<const Vector3>(axes.data + 6 * j);
+        joint[j].axis = Eigen::Map<const Vector3>(axes.data + 6 * j + 3);
         check_fit(carriers.data[j] >= -1.0 && carriers.data[j] < (double)j);
         joint[j].carrier = (int)carriers.data[j];
     }
@@ -99,9 +99,8 @@ Shapes::Shapes(const In &axes, const In &carriers, const In &shapes, const std::
         Shape &s = shape[i];
         check_fit(numbers[JOINT] >= -1.0 && numbers[JOINT] < (double)n && numbers[KIND] >= BOX && numbers[KIND] <= HULL);
         s.kind = (int)numbers[KIND], s.joint = (int)numbers[JOINT], s.radius = numbers[RADIUS];
-        memcpy(s.half, numbers + HALF, sizeof s.half);
-        memcpy(s.R0, numbers + PLACE, sizeof s.R0), memcpy(s.p0, numbers + PLACE + 9, sizeof s.p0);
-        memcpy(s.R, s.R0, sizeof s.R), memcpy(s.p, s.p0, sizeof s.p);
+        s.half = Eigen::Map<const Vector3>(numbers + HALF);
+        s.at_zero = s.T = *reinterpret_cast<const Pose *>(numbers + PLACE);
         s.corners.assign(corners[i].data, corners[i].data + corners[i].size);
         check_fit(s.corners.size() % 3 == 0 && (s.kind != HULL || !s.corners.empty()));
     }
@@ -109,7 +108,7 @@ Shapes::Shapes(const In &axes, const In &carriers, const In &shapes, const std::
         check_fit(pairs.data[i] >= 0.0 && pairs.data[i] < (double)count);
         (i % 2 ? second : first).push_back((int)pairs.data[i]);
     }
-    for (size_t k = 0; k < first.size(); k++) ways.insert(ways.end(), {1.0, 0.0, 0.0});
+    ways.assign(first.size(), Vector3::UnitX());
 }
 
 void Shapes::place(const double *positions) {
@@ -120,29 +119,21 @@ void Shapes::place(const double *positions) {
 
 /* Where a joint takes what stands at zero positions: p = (1 − R) c about its axis through c, or x along it. */
 const Shapes::Joint &Shapes::placed_joint(int j) {
-    static const Joint world = {{}, {}, {1, 0, 0, 0, 1, 0, 0, 0, 1}, {}, {}, -1, 0};
+    static const Joint world = {{}, {}, {Matrix3::Identity(), Vector3::Zero()}, {}, -1, 0};
     if (j < 0) return world;
     Joint &own = joint[(size_t)j];
     if (own.stamp == stamp) return own;
     const Joint &before = placed_joint(own.carrier);
-    double R[9] = {1, 0, 0, 0, 1, 0, 0, 0, 1}, p[3], turn[3], c[3], moved[3];
     const double at = x[(size_t)j];
-    if (dot3(own.axis, own.axis) > 0.5) {
-        for (int i = 0; i < 3; i++) turn[i] = at * own.axis[i];
-        exp3(turn, R);
-        cross(own.axis, own.moment, c);
-        rotate(R, c, moved);
-        for (int i = 0; i < 3; i++) p[i] = c[i] - moved[i];
-    } else {
-        for (int i = 0; i < 3; i++) p[i] = at * own.moment[i];
+    Pose moved = {Matrix3::Identity(), at * own.moment};
+    if (own.axis.squaredNorm() > 0.5) {
+        const Vector3 c = own.axis.cross(own.moment);
+        moved.R = exp3(at * own.axis);
+        moved.p = c - moved.R * c;
     }
-    multiply3(before.R, R, own.R);
-    rotate(before.R, p, own.p);
-    for (int i = 0; i < 3; i++) own.p[i] += before.p[i];
-    rotate(before.R, own.axis, own.twist + 3);
-    rotate(before.R, own.moment, own.twist);
-    cross(before.p, own.twist + 3, moved);
-    for (int i = 0; i < 3; i++) own.twist[i] += moved[i];
+    own.T = compose(before.T, moved);
+    own.twist = both(before.T.R * own.moment, before.T.R * own.axis);
+    own.twist.head<3>() += before.T.p.cross(own.twist.tail<3>());
     own.stamp = stamp;
     return own;
 }
@@ -150,24 +141,21 @@ const Shapes::Joint &Shapes::placed_joint(int j) {
 const Shape &Shapes::placed(size_t i) {
     Shape &s = shape[i];
     if (stamps[i] == stamp || s.joint < 0) return s;
-    const Joint &on = placed_joint(s.joint);
-    multiply3(on.R, s.R0, s.R);
-    rotate(on.R, s.p0, s.p);
-    for (int m = 0; m < 3; m++) s.p[m] += on.p[m];
+    s.T = compose(placed_joint(s.joint).T, s.at_zero);
     stamps[i] = stamp;
     return s;
 }
 
 double Shapes::bound(Py_ssize_t k, double enough, double tolerance) {
     const Shape &a = placed((size_t)first[(size_t)k]), &b = placed((size_t)second[(size_t)k]);
-    return least_gap(a, b, ways.data() + 3 * k, enough, tolerance, nullptr);
+    return least_gap(a, b, ways[(size_t)k], enough, tolerance, nullptr);
 }
 
 double Shapes::gap(Py_ssize_t k, double *ends) {
     const Shape &a = placed((size_t)first[(size_t)k]), &b = placed((size_t)second[(size_t)k]);
-    double *way = ways.data() + 3 * k;
-    const double found = least_gap(a, b, way, INFINITY, GJK_SHARE, ends + 3);
-    memcpy(ends, way, 3 * sizeof(double));
+    Vector3 point;
+    const double found = least_gap(a, b, ways[(size_t)k], INFINITY, GJK_SHARE, &point);
+    Twist(ends, 6, 1) = both(ways[(size_t)k], point);
     return found;
 }
 
@@ -297,8 +285,7 @@ Nearby::Nearby(const nb::dict &arrays, const Settings &settings, Coal &&coal_giv
 void Nearby::placement(const In &x, Py_ssize_t i, Out &found) {
     check_fit(x.size == joints && found.size == 12 && i >= 0 && (size_t)i < shapes.size());
     shapes.place(x.data);
-    const Shape &s = shapes.placed((size_t)i);
-    memcpy(found.data, s.R, sizeof s.R), memcpy(found.data + 9, s.p, sizeof s.p);
+    *reinterpret_cast<Pose *>(found.data) = shapes.placed((size_t)i).T;
 }
 
 double Nearby::bound(const In &x, Py_ssize_t k) {
@@ -592,11 +579,11 @@ bool Nearby::evade() {
         double clearance = shapes.gap(k, ends) - margins.data[k];
         if (isnan(ends[3])) clearance = asked(k, x), coal.ends(k, ends);
         if (!(clearance < set.evades)) continue;
-        double turn[3];
-        cross(ends + 3, ends, turn);
+        const Eigen::Map<const Vector3> normal(ends), point(ends + 3);
+        const Vector6 force = both(normal, point.cross(normal)); /* about the world's origin */
         for (size_t j = 0; j < row.size(); j++) {
-            const double kind = kinds.data[k * joints + (Py_ssize_t)j], *own = kind != 0.0 ? shapes.twist(j) : nullptr;
-            row[j] = own ? kind * (dot3(ends, own) + dot3(turn, own + 3)) : 0.0;
+            const double kind = kinds.data[k * joints + (Py_ssize_t)j];
+            row[j] = kind != 0.0 ? kind * force.dot(shapes.twist(j)) : 0.0;
             speed += row[j] * evading_slope.data[j];
         }
         const double lacks = least_speed_of(clearance - comfort) - speed;

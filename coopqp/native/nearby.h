@@ -59,11 +59,13 @@ public:
     /* Placement of a shape (R 9, p 3). */
     const Shape &placed(size_t i);
     /* Velocity at the world's origin and angular velocity of what a joint carries, per unit of its speed (6). */
-    const double *twist(size_t j) { return placed_joint((int)j).twist; }
+    const Vector6 &twist(size_t j) { return placed_joint((int)j).twist; }
 
 private:
     struct Joint {
-        double axis[3], moment[3], R[9], p[3], twist[6];
+        Vector3 axis, moment;
+        Pose T;
+        Vector6 twist;
         int carrier;
         uint64_t stamp = 0;
     };
@@ -72,7 +74,8 @@ private:
     std::vector<Shape> shape;
     std::vector<uint64_t> stamps; /* of the shapes */
     std::vector<int> first, second;
-    std::vector<double> ways, x; /* of each pair a unit vector, where the next search begins; positions of the joints */
+    std::vector<Vector3> ways; /* of each pair a unit vector, where the next search begins */
+    std::vector<double> x;     /* positions of the joints */
     uint64_t stamp = 1;
 };
 

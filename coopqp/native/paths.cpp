@@ -72,81 +72,64 @@ static double next_breakpoint(const Core *c, double clock) {
     return after;
 }
 
-static void pose_on(const double *segment, Place at, double *R, double *p) {
-    double w[3], E[9], before[9];
-    for (int i = 0; i < 3; i++) {
-        w[i] = at.u * segment[12 + i];
-        p[i] = segment[9 + i] + at.u * segment[15 + i];
+static Pose pose_on(const double *segment, Place at) {
+    const Eigen::Map<const Vector3> p(segment + 9), turn(segment + 12), way(segment + 15);
+    Pose T = {Eigen::Map<const Matrix3>(segment) * exp3(at.u * turn), p + at.u * way};
+    if (has_ramps(segment)) {
+        const Eigen::Map<const Vector3> velocity(segment + 21), spin(segment + 24);
+        T = {exp3(at.b * spin) * T.R, T.p + at.b * velocity};
     }
-    exp3(w, E);
-    if (!has_ramps(segment)) {
-        multiply3(segment, E, R);
-        return;
-    }
-    multiply3(segment, E, before);
-    for (int i = 0; i < 3; i++) {
-        w[i] = at.b * segment[24 + i];
-        p[i] += at.b * segment[21 + i];
-    }
-    exp3(w, E);
-    multiply3(E, before, R);
+    return T;
 }
 
-static int path_pose(Core *c, double clock, double *R, double *p) {
+static int path_pose(Core *c, double clock, Pose &T) {
     if (count_of(c, 2)) {
         double end;
         const double *segment = segment_at(c, clock, &end);
-        pose_on(segment, place_on(segment, clock), R, p);
+        T = pose_on(segment, place_on(segment, clock));
         return 1;
     }
-    double pose[12];
     c->asked++;
-    if (!c->own_path || !c->own_path(c, clock, 0, pose)) return 0;
-    memcpy(R, pose, 9 * sizeof(double));
-    memcpy(p, pose + 9, 3 * sizeof(double));
+    if (!c->own_path || !c->own_path(c, clock, 0)) return 0;
+    T = *c->own_pose;
     return 1;
 }
 
-static int path_twist(Core *c, double clock, double *twist) {
+static int path_twist(Core *c, double clock, Ref6 twist) {
     if (!count_of(c, 2)) {
         c->asked++;
-        return c->own_path && c->own_path(c, clock, 1, twist);
+        if (!c->own_path || !c->own_path(c, clock, 1)) return 0;
+        twist = Eigen::Map<const Vector6>(c->own_pose->R.data());
+        return 1;
     }
-    double end, R[9], p[3], velocity[3], fading[3] = {};
+    double end;
     const double *segment = segment_at(c, clock, &end);
     const Place at = place_on(segment, clock);
-    pose_on(segment, at, R, p);
-    for (int i = 0; i < 3; i++) velocity[i] = at.rate * segment[15 + i];
-    if (has_ramps(segment)) {
-        for (int i = 0; i < 3; i++) velocity[i] += at.fading * segment[21 + i];
-        rotate_back(R, segment + 24, fading);
-    }
-    rotate_back(R, velocity, twist);
-    for (int i = 0; i < 3; i++) twist[3 + i] = at.fading * fading[i] + at.rate * segment[12 + i];
+    const Eigen::Map<const Vector3> turn(segment + 12), way(segment + 15), dying(segment + 21), spin(segment + 24);
+    const Matrix3 R = pose_on(segment, at).R;
+    Vector3 velocity = at.rate * way, angular = at.rate * turn;
+    if (has_ramps(segment)) velocity += at.fading * dying, angular += at.fading * (R.transpose() * spin);
+    twist = both(R.transpose() * velocity, angular);
     return 1;
-}
-
-static double twist_distance(const double *a, const double *b) {
-    double d[6];
-    for (int i = 0; i < 6; i++) d[i] = b[i] - a[i];
-    return sqrt(dot3(d, d)) + TURN_LENGTH * sqrt(dot3(d + 3, d + 3));
 }
 
 static int own_path(const Core *c) { return c->users_path; }
 
-/* The twist of a user's path at a clock (6), or its pose, R (9) and p (3). */
-static int ask_own(Core *c, int pose, double clock, double *out) {
-    return pose ? path_pose(c, clock, out, out + 9) : path_twist(c, clock, out);
+/* The pose of a user's path at a clock, or in its first numbers the twist. */
+static int ask_own(Core *c, int pose, double clock, Pose &out) {
+    return pose ? path_pose(c, clock, out) : path_twist(c, clock, Eigen::Map<Vector6>(out.R.data()));
 }
 
-static double asked_distance(int pose, const double *a, const double *b) {
-    return pose ? pose_distance(a, a + 9, b, b + 9) : twist_distance(a, b);
+static double asked_distance(int pose, const Pose &A, const Pose &B) {
+    if (pose) return pose_distance(A, B);
+    const Vector6 d = Eigen::Map<const Vector6>(B.R.data()) - Eigen::Map<const Vector6>(A.R.data());
+    return d.head<3>().norm() + TURN_LENGTH * d.tail<3>().norm();
 }
 
 static int begin_seeking(Core *c, int pose, double from, double to) {
     Ahead *a = c->ahead;
-    if (!ask_own(c, pose, from, c->seek_low) || !ask_own(c, pose, to, c->seek_high)) return 0;
-    a->seek_from = from, a->seek_to = to, a->seek_whole = asked_distance(pose, c->seek_low, c->seek_high);
+    if (!ask_own(c, pose, from, *c->seek_low) || !ask_own(c, pose, to, *c->seek_high)) return 0;
+    a->seek_from = from, a->seek_to = to, a->seek_whole = asked_distance(pose, *c->seek_low, *c->seek_high);
     return a->seek_whole > (pose ? maximum(FASTEST_PATH * (to - from), LEAST_JUMP) : LEAST_KINK);
 }
 
@@ -158,49 +141,36 @@ static int seeks_on(const Core *c, int pose) {
 
 static int go_on_seeking(Core *c, int pose) {
     Ahead *a = c->ahead;
-    double middle[12];
+    Pose middle = *c->seek_low;
     const double clock = 0.5 * (a->seek_from + a->seek_to);
     if (!ask_own(c, pose, clock, middle) || !(a->seek_from < clock && clock < a->seek_to)) return 0;
-    if (asked_distance(pose, c->seek_low, middle) >= asked_distance(pose, middle, c->seek_high)) {
-        a->seek_to = clock;
-        memcpy(c->seek_high, middle, sizeof middle);
-    } else {
-        a->seek_from = clock;
-        memcpy(c->seek_low, middle, sizeof middle);
-    }
+    if (asked_distance(pose, *c->seek_low, middle) >= asked_distance(pose, middle, *c->seek_high))
+        a->seek_to = clock, *c->seek_high = middle;
+    else
+        a->seek_from = clock, *c->seek_low = middle;
     return 1;
 }
 
 static double found_by_seeking(const Core *c, int pose) {
-    const double there = asked_distance(pose, c->seek_low, c->seek_high), share = KINK_SHARE * c->ahead->seek_whole;
+    const double there = asked_distance(pose, *c->seek_low, *c->seek_high), share = KINK_SHARE * c->ahead->seek_whole;
     return there > (pose ? share : maximum(share, LEAST_KINK)) ? there : 0.0;
 }
 
-static int path_increment(Core *c, double clock, double span, const double *R, const double *p, double *twist) {
-    memset(twist, 0, 6 * sizeof(double));
+static int path_increment(Core *c, double clock, double span, const Pose &T, Ref6 twist) {
+    twist.setZero();
     if (!(span > 1e-12)) return 1;
     double end;
     const double *segment = count_of(c, 2) ? segment_at(c, clock, &end) : nullptr;
     if (segment && clock + span <= end && !has_ramps(segment)) { /* log of one screw is known */
         const double gain = place_on(segment, clock + span).u - place_on(segment, clock).u;
-        double step[3], omega[3];
-        rotate_back(R, segment + 15, step);
-        for (int i = 0; i < 3; i++) {
-            step[i] *= gain;
-            omega[i] = gain * segment[12 + i];
-        }
-        double t2 = dot3(omega, omega), t = sqrt(t2);
-        double third = t2 < 1e-4 ? 1.0 / 12 + t2 * (1.0 / 720 + t2 / 30240) : (1.0 - 0.5 * t / tan(0.5 * t)) / t2;
-        unroll(omega, third, step, twist);
-        memcpy(twist + 3, omega, sizeof omega);
+        const Vector3 omega = gain * Eigen::Map<const Vector3>(segment + 12);
+        const double t2 = omega.squaredNorm(), t = sqrt(t2);
+        const double third = t2 < 1e-4 ? 1.0 / 12 + t2 * (1.0 / 720 + t2 / 30240) : (1.0 - 0.5 * t / tan(0.5 * t)) / t2;
+        twist = both(unroll(omega, third, gain * (T.R.transpose() * Eigen::Map<const Vector3>(segment + 15))), omega);
     } else {
-        double R1[9], p1[3], E[9], e[3];
-        if (!path_pose(c, clock + span, R1, p1)) return 0;
-        multiply3_back(R, R1, E);
-        for (int i = 0; i < 3; i++) p1[i] -= p[i];
-        rotate_back(R, p1, e);
-        if (!log6(E, e, twist)) return 0;
+        Pose later;
+        if (!path_pose(c, clock + span, later) || !log6(between(T, later), twist)) return 0;
     }
-    for (int i = 0; i < 6; i++) twist[i] /= span;
+    twist /= span;
     return 1;
 }

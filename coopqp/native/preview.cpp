@@ -5,17 +5,10 @@
 
 /* The look-ahead finds a knot with the grasps as they are when it is begun: grasps that go on giving way would be pursued
  * by its Newton steps for ever. */
-static void take_grasps(Core *c) {
-    memcpy(c->ahead_R, c->object_R, sizeof(double) * 9 * (size_t)c->arms);
-    memcpy(c->ahead_p, c->object_p, sizeof(double) * 3 * (size_t)c->arms);
-}
+static void take_grasps(Core *c) { std::copy(c->object, c->object + c->arms, c->ahead_object); }
 
 /* Swaps these grasps with the present ones; a second call swaps them back. */
-static void swap_grasps(Core *c) {
-    double *R = c->object_R, *p = c->object_p;
-    c->object_R = c->ahead_R, c->object_p = c->ahead_p;
-    c->ahead_R = R, c->ahead_p = p;
-}
+static void swap_grasps(Core *c) { std::swap(c->object, c->ahead_object); }
 
 /* While the look-ahead fails the arms hold. */
 static void hold_blind(Core *c) {

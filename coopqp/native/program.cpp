@@ -3,132 +3,109 @@
 
 #include "functions.h"
 
+/* Rows of an arm's joints, of up to MOST_JOINTS columns; they need no heap. */
+using ArmRows6 = Eigen::Matrix<double, Eigen::Dynamic, 6, 0, MOST_JOINTS, 6>;
+using ArmSquare = Eigen::Matrix<double, Eigen::Dynamic, Eigen::Dynamic, 0, MOST_JOINTS, MOST_JOINTS>;
+/* World twists of the object's six directions, and of ν, c_k, c_p and b_k. */
+using TenTwists = Eigen::Matrix<double, 6, 10>;
+/* Rows of joints, then further ones; columns of unknowns. */
+using OfRows = Eigen::Map<Eigen::Matrix<double, Eigen::Dynamic, Eigen::Dynamic, Eigen::RowMajor>>;
+
+static OfRows columns_of(const Core *c) { return {c->columns, c->joints + c->further_rows, c->unknowns}; }
+
 /* Of one arm with n ≥ 6 joints: the right inverse P (n, 6) of least Σ (v/scale)², and a basis N (n, n − 6) of the self-
- * motions, orthonormal in the joints' units. By Householder's QR of diag(scale) Jᵀ. Returns 0 if near a singularity. */
-static int right_inverse(const double *JT, const double *scale, int n, double *P, double *N) {
-    double M[6 * MOST_JOINTS], Q[MOST_JOINTS * MOST_JOINTS], diagonal[6], largest = 0.0;
-    for (int j = 0; j < n; j++)
-        for (int i = 0; i < 6; i++) M[6 * j + i] = scale[j] * JT[6 * j + i];
+ * motions, orthonormal in the joints' units. By Householder's QR of diag(scale) Jᵀ. Returns false if near a singularity. */
+static bool right_inverse(const OfArm &J, const double *scale, ArmRows6 &P, ArmSquare &N) {
+    const Eigen::Index n = J.cols();
+    const Eigen::Map<const Eigen::VectorXd> W(scale, n);
+    ArmRows6 M = W.asDiagonal() * J.transpose();
+    ArmSquare Q = ArmSquare::Identity(n, n);
+    Vector6 diagonal, per;
     for (int i = 0; i < 6; i++) {
-        double square = 0.0;
-        for (int j = i; j < n; j++) square += M[6 * j + i] * M[6 * j + i];
-        double length = sqrt(square);
-        if (!(length > 0.0 && isfinite(length))) return 0;
-        diagonal[i] = M[6 * i + i] > 0.0 ? -length : length;
-        M[6 * i + i] -= diagonal[i]; /* the reflector, of squared length 2 |d M_ii| */
-        double per = -1.0 / (diagonal[i] * M[6 * i + i]);
+        auto reflector = M.col(i).tail(n - i); /* of squared length 2 |d M_ii| */
+        const double length = reflector.norm();
+        if (!(length > 0.0 && isfinite(length))) return false;
+        diagonal[i] = M(i, i) > 0.0 ? -length : length;
+        M(i, i) -= diagonal[i];
+        per[i] = -1.0 / (diagonal[i] * M(i, i));
         for (int m = i + 1; m < 6; m++) {
-            double sum = 0.0;
-            for (int j = i; j < n; j++) sum += M[6 * j + i] * M[6 * j + m];
-            for (int j = i; j < n; j++) M[6 * j + m] -= sum * per * M[6 * j + i];
+            auto column = M.col(m).tail(n - i);
+            column -= reflector.dot(column) * per[i] * reflector;
         }
+        const ArmVector along = Q.rightCols(n - i).lazyProduct(reflector);
+        for (Eigen::Index m = i; m < n; m++) Q.col(m) -= per[i] * M(m, i) * along;
     }
-    memset(Q, 0, sizeof(double) * (size_t)(n * n)); /* row j: the j-th unit vector, reflected */
-    for (int j = 0; j < n; j++) Q[n * j + j] = 1.0;
-    for (int i = 0; i < 6; i++) {
-        double per = -1.0 / (diagonal[i] * M[6 * i + i]);
-        for (int j = 0; j < n; j++) {
-            double sum = 0.0;
-            for (int m = i; m < n; m++) sum += Q[n * j + m] * M[6 * m + i];
-            for (int m = i; m < n; m++) Q[n * j + m] -= sum * per * M[6 * m + i];
-        }
+    P.resize(n, 6);
+    for (int i = 5; i >= 0; i--) { /* P = diag(scale) Q₁ R⁻ᵀ */
+        P.col(i) = Q.col(i);
+        for (int m = i + 1; m < 6; m++) P.col(i) -= M(i, m) * P.col(m);
+        P.col(i) /= diagonal[i];
     }
-    for (int j = 0; j < n; j++) {
-        for (int i = 5; i >= 0; i--) { /* P = diag(scale) Q₁ R⁻ᵀ, row by row */
-            double x = Q[n * j + i];
-            for (int m = i + 1; m < 6; m++) x -= M[6 * i + m] * P[6 * j + m];
-            P[6 * j + i] = x / diagonal[i];
-        }
-        for (int i = 0; i < 6; i++) {
-            P[6 * j + i] *= scale[j];
-            largest = fmax(largest, fabs(P[6 * j + i]));
-            if (!isfinite(P[6 * j + i])) return 0;
-        }
-        for (int m = 6; m < n; m++) N[(n - 6) * j + m - 6] = scale[j] * Q[n * j + m];
-    }
-    return largest < LARGE_INVERSE;
+    P = W.asDiagonal() * P;
+    N = W.asDiagonal() * Q.rightCols(n - 6);
+    return P.allFinite() && P.cwiseAbs().maxCoeff() < LARGE_INVERSE;
 }
 
-/* Rows of base and columns of one arm; z is the first of its null-space unknowns, T the world twists of the object's six
- * directions, ν, c_k, c_p and b_k. */
-static void arm_columns(Core *c, int k, int z, const double *P, const double *N, double T[10][6], double cap) {
-    const int n = (int)c->arm_size[k], start = (int)c->arm_start[k], extra = n - 6, width = c->unknowns;
-    const double *scale = c->scale + start, *wish = c->null_along + start, *offset = c->null_offset + start;
-    double along[MOST_JOINTS], rest[MOST_JOINTS]; /* the wishes' coordinates in the null-space */
-    for (int e = 0; e < extra; e++) {
-        along[e] = rest[e] = 0.0;
-        for (int j = 0; j < n; j++) {
-            double per = N[extra * j + e] / (scale[j] * scale[j]);
-            along[e] += per * wish[j];
-            rest[e] += per * offset[j];
-        }
+/* Rows of base and columns of one arm; z is the first of its null-space unknowns. */
+static void arm_columns(Core *c, int k, int z, const ArmRows6 &P, const ArmSquare &N, const TenTwists &T, double cap) {
+    const auto [start, n] = joints_of(c, k);
+    const int extra = n - 6;
+    auto rows = columns_of(c).middleRows(start, n);
+    const Eigen::Map<const Eigen::VectorXd> unit(c->unit, c->unknowns);
+    Eigen::Matrix<double, Eigen::Dynamic, 10, 0, MOST_JOINTS, 10> X = P.lazyProduct(T);
+    if (extra) { /* the wishes' coordinates in the null-space */
+        const ArmSquare per = c->scale.segment(start, n).cwiseAbs2().cwiseInverse().asDiagonal() * N;
+        const ArmVector along = per.transpose().lazyProduct(c->null_along.segment(start, n));
+        const ArmVector rest = per.transpose().lazyProduct(c->null_offset.segment(start, n));
+        X.col(6) += N.lazyProduct(along);
+        X.col(9) += N.lazyProduct(rest);
     }
-    for (int j = 0; j < n; j++) {
-        double x[10], *row = c->columns + width * (start + j);
-        for (int m = 0; m < 10; m++) {
-            x[m] = 0.0;
-            for (int i = 0; i < 6; i++) x[m] += P[6 * j + i] * T[m][i];
-        }
-        for (int e = 0; e < extra; e++) {
-            x[6] += N[extra * j + e] * along[e];
-            x[9] += N[extra * j + e] * rest[e];
-        }
-        memset(row, 0, sizeof(double) * (size_t)width);
-        for (int m = 0; m < 6; m++) row[m] = x[m] * c->unit[m];
-        for (int m = 6; m < 9; m++) row[m] = -x[m] * c->unit[m];
-        for (int e = 0; e < extra; e++) row[z + e] = N[extra * j + e] * c->unit[z + e];
-        c->base[start + j] = x[9] + x[7] + x[8] + cap * x[6];
-    }
+    rows.setZero();
+    rows.leftCols<6>() = X.leftCols<6>() * unit.head<6>().asDiagonal();
+    rows.middleCols<3>(6) = -X.middleCols<3>(6) * unit.segment<3>(6).asDiagonal();
+    rows.middleCols(z, extra) = N * unit.segment(z, extra).asDiagonal();
+    Vector(c->base + start, n, 1) = X.col(9) + X.col(7) + X.col(8) + cap * X.col(6);
 }
 
-/* Fill base and columns, of joints and further rows. 0 where an arm is near a singularity, or a number is not finite. */
-static int condense(Core *c, double cap) {
-    double T[10][6], square = 0.0;
+/* Fill base and columns, of joints and further rows. False where an arm is near a singularity, or a number is not finite. */
+static bool condense(Core *c, double cap) {
+    const Matrix3 &R = c->pose->R;
+    const int joints = c->joints, all = joints + c->further_rows;
+    TenTwists T = TenTwists::Zero();
+    Vector base(c->base, all, 1);
+    OfRows columns = columns_of(c);
+    ArmRows6 P;
+    ArmSquare N;
     int z = TWIST_AND_SHARES;
-    for (int m = 0; m < 6; m++) {
-        double one[6] = {};
-        one[m] = 1.0;
-        to_world(c->R, one, T[m]);
-    }
-    to_world(c->R, c->along, T[6]);
-    to_world(c->R, c->path, T[8]);
-    for (int j = 0; j < c->joints; j++) { /* joints that no arm moves stand still */
-        c->base[j] = 0.0;
-        memset(c->columns + c->unknowns * j, 0, sizeof(double) * (size_t)c->unknowns);
-    }
+    T.block<3, 3>(0, 0) = T.block<3, 3>(3, 3) = R;
+    T.col(6) = turned(R, c->along);
+    T.col(8) = turned(R, c->path);
+    base.head(joints).setZero(), columns.topRows(joints).setZero(); /* joints that no arm moves stand still */
     for (int k = 0; k < c->arms; k++) {
-        const int n = (int)c->arm_size[k], start = (int)c->arm_start[k];
-        double P[6 * MOST_JOINTS], N[MOST_JOINTS * MOST_JOINTS];
-        to_world(c->R, c->grasp + 6 * k, T[7]);
-        to_world(c->R, c->offsets + 6 * k, T[9]);
-        if (!right_inverse(c->jacobian + 6 * start, c->scale + start, n, P, N)) return 0;
+        const auto [start, n] = joints_of(c, k);
+        T.col(7) = turned(R, c->grasp.col(k));
+        T.col(9) = turned(R, c->offsets.col(k));
+        if (!right_inverse(OfArm(c->jacobian + 6 * start, 6, n), c->scale + start, P, N)) return false;
         arm_columns(c, k, z, P, N, T, cap);
         z += n - 6;
     }
     for (int r = 0; r < c->further_rows; r++) {
-        double *row = c->columns + c->unknowns * (c->joints + r);
-        c->base[c->joints + r] = further(c, r, c->base);
-        memset(row, 0, sizeof(double) * (size_t)c->unknowns);
-        for (int j = 0; j < c->joints; j++)
-            for (int m = 0; m < c->unknowns; m++)
-                row[m] += c->further[c->joints * r + j] * c->columns[c->unknowns * j + m];
+        const Eigen::Map<const Eigen::RowVectorXd> G(c->further + joints * r, joints);
+        base[joints + r] = G.dot(base.head(joints));
+        columns.row(joints + r) = G.lazyProduct(columns.topRows(joints));
     }
-    for (int i = 0; i < c->joints + c->further_rows; i++) square += c->base[i] * c->base[i];
-    for (int i = 0; i < c->unknowns * (c->joints + c->further_rows); i++) square += c->columns[i] * c->columns[i];
-    return isfinite(square);
+    return isfinite(base.squaredNorm() + columns.squaredNorm());
 }
 
 /* One row of the least-distance problem, scaled to unit norm: lower ≤ base + columns x − unit t ≤ upper, t unknown `slack`
  * (none for −1). */
 static void put_row(const Core *c, int from, int width, int slack, double unit, double lower, double upper, double *row,
                     double *low, double *high) {
-    const double *columns = c->columns + c->unknowns * from;
-    double square = 0.0;
-    for (int m = 0; m < c->unknowns; m++) square += columns[m] * columns[m];
-    if (slack >= 0) square += unit * unit;
+    const auto columns = columns_of(c).row(from);
+    const double square = columns.squaredNorm() + (slack >= 0 ? unit * unit : 0.0);
     const double per = square < 1e-24 ? 1.0 : 1.0 / sqrt(square);
-    memset(row, 0, sizeof(double) * (size_t)width);
-    for (int m = 0; m < c->unknowns; m++) row[m] = columns[m] * per;
+    Eigen::Map<Eigen::RowVectorXd> out(row, width);
+    out << per * columns, Eigen::RowVectorXd::Zero(width - c->unknowns);
     if (slack >= 0) row[slack] = -unit * per;
     *low = (lower - c->base[from]) * per;
     *high = (upper - c->base[from]) * per;
@@ -168,11 +145,8 @@ static int solve_condensed(Core *c, double cap, int relax) {
 static int read_answer(Core *c, double cap) {
     Proposal *p = c->proposal;
     int count = 0;
-    for (int i = 0; i < c->joints; i++) {
-        double v = c->base[i];
-        for (int m = 0; m < c->unknowns; m++) v += c->columns[c->unknowns * i + m] * c->x[m];
-        c->command[i] = v;
-    }
+    const Eigen::Map<const Eigen::VectorXd> base(c->base, c->joints), x(c->x, c->unknowns);
+    c->command = base + columns_of(c).topRows(c->joints).lazyProduct(x);
     for (int pass = 0; pass < 2; pass++)
         for (int i = 0; i < c->joints + c->further_rows; i++) {
             const int own = i >= c->joints;

@@ -5,12 +5,13 @@
 /* Self-motion of arm k that moves its joint `j`, (n,); 0 if the arm is singular. */
 static int self_motion(const Core *c, int k, const double *jacobian, int j, double *way) {
     static const double still[MOST_JOINTS] = {};
-    const int start = (int)c->arm_start[k], n = (int)c->arm_size[k];
+    const auto [start, n] = joints_of(c, k);
+    const Vector6 none = Vector6::Zero();
     double push[MOST_JOINTS] = {0}, other[MOST_JOINTS];
-    const double *JT = jacobian + 6 * start, *scale = c->scale + start;
+    const double *J = jacobian + 6 * start, *scale = c->scale + start;
     push[j] = 1.0;
-    return arm_velocities(JT, scale, n, still, still, push, still, way, other) > 0.0 ||
-           far_velocities(JT, scale, n, still, still, push, still, way, other) > 0.0;
+    return arm_velocities(J, scale, n, none, none, push, still, way, other) > 0.0 ||
+           far_velocities(J, scale, n, none, none, push, still, way, other) > 0.0;
 }
 
 /* Lead the joints of redundant arm k away from their limits by its self-motion: coopqp/control/lookahead/redundancy.py. */

@@ -4,28 +4,18 @@
 #include "minding.h"
 
 /* The grasps have given way: distances of the arms are counted from where they are told to hold the object now. */
-static void add_shift(const Core *c, double *away) {
+static void add_shift(const Core *c, Twists &away) {
     const MindingArrays f = minding_of(c->arms, c->minding);
-    for (int i = 0; i < 6 * c->arms; i++) away[i] += f.shift[i] - f.held[i];
+    away += f.shift - f.held;
 }
 
 /* How far each arm is from where its servos should hold it by its wrench: away + C (w − share of the load) / ρ. */
-static void compare_with_servos(const Core *c, const MindingArrays *f, const double *away, double *off) {
-    const int n = 6 * c->arms;
-    const Minding *m = f->m;
-    const double stiffer = maximum(m->stiffer, SOFTEST), weight[3] = {m->weight_x, m->weight_y, m->weight_z};
-    double load[3], *pushed = c->scratch + 6 * n;
-    rotate_back(c->R, weight, load);
-    for (int i = 0; i < n; i++) {
-        pushed[i] = -dot3(f->carries + 3 * i, load);
-        for (int j = 0; j < n; j++) pushed[i] += f->unfed_of[n * i + j] * f->felt[j];
-    }
+static void compare_with_servos(const Core *c, const MindingArrays &f, const Twists &away, Twists &off) {
+    const Vector3 load = c->pose->R.transpose() * Vector3(f.m->weight_x, f.m->weight_y, f.m->weight_z);
+    Twists pushed(c->scratch + 36 * c->arms, 6, c->arms);
+    pushed.reshaped() = f.unfed_of.lazyProduct(f.felt.reshaped()) - f.carries.lazyProduct(load);
     for (int k = 0; k < c->arms; k++)
-        for (int i = 0; i < 6; i++) {
-            double bent = 0.0;
-            for (int j = 0; j < 6; j++) bent += f->compliances[36 * k + 6 * i + j] * pushed[6 * k + j];
-            off[6 * k + i] = away[6 * k + i] + bent / stiffer;
-        }
+        off.col(k) = away.col(k) + Eigen::Map<const Matrix6>(f.compliances + 36 * k) * pushed.col(k) / maximum(f.m->stiffer, SOFTEST);
 }
 
 /* The largest acceleration of a joint as commanded, filtered and remembered for a while; while an arm is suspected, the object slows
@@ -41,31 +31,28 @@ static double haste(Core *c, Minding *m, double dt) {
     return m->haste;
 }
 
-static void watch_servos(Core *c, const double *away, double dt, Seen *seen) {
-    const MindingArrays f = minding_of(c->arms, c->minding);
+static void watch_servos(Core *c, const Twists &away, double dt, Seen *seen) {
+    MindingArrays f = minding_of(c->arms, c->minding);
     Minding *m = f.m;
-    double *off = c->scratch, *at_grasps = off + 6 * c->arms, *apart = at_grasps + 6 * c->arms;
+    const auto scratch = [&](int i) { return Twists(c->scratch + 6 * i * c->arms, 6, c->arms); };
+    Twists off = scratch(0), at_grasps = scratch(1), apart = scratch(2);
     const double hasty = haste(c, m, dt);
     if (m->stage < RELAXING || m->sensor_fault != SENSORS_FINE) return;
-    compare_with_servos(c, &f, away, off);
+    compare_with_servos(c, f, away, off);
     to_grasps(c, off, at_grasps);
     const double time = c->options->filter_time, share = sqrt(dt / (2.0 * time + dt)); /* of the noise that passes */
     const double noise = share * m->servo_noise; /* before this sample, which may be the first of a stall */
-    m->servo_noise = noise_seen(c->arms, &m->servo_samples, f.off_last, f.off_step, f.off_noise, at_grasps, dt);
-    for (int i = 0; i < 6 * c->arms; i++) f.off_servos[i] += dt / (time + dt) * (at_grasps[i] - f.off_servos[i]);
+    m->servo_noise = noise_seen(&m->servo_samples, f.off_last, f.off_step, f.off_noise, at_grasps, dt);
+    f.off_servos += dt / (time + dt) * (at_grasps - f.off_servos);
     if (m->servo_samples < FEW_SAMPLES) return;
     from_others(c, f.off_servos, apart);
-    double most = 1e-300;
-    for (int i = 0; i < 6 * c->arms; i++) most = fmax(most, fabs(apart[i] - f.off_drift[i]));
-    const double drifts = fmin(LARGEST_SLOPE * m->way_done / most, 1.0); /* where the load is shared otherwise */
-    for (int i = 0; i < 6 * c->arms; i++) {
-        f.off_drift[i] += drifts * (apart[i] - f.off_drift[i]);
-        apart[i] -= f.off_drift[i];
-    }
+    const double most = fmax((apart - f.off_drift).cwiseAbs().maxCoeff(), 1e-300);
+    f.off_drift += fmin(LARGEST_SLOPE * m->way_done / most, 1.0) * (apart - f.off_drift); /* the load is shared otherwise */
+    apart -= f.off_drift;
     int arm = 0;
     for (int k = 1; k < c->arms; k++)
-        if (square6(apart + 6 * k) > square6(apart + 6 * arm)) arm = k;
-    const double far = sqrt(square6(apart + 6 * arm));
+        if (apart.col(k).squaredNorm() > apart.col(arm).squaredNorm()) arm = k;
+    const double far = apart.col(arm).norm();
     /* Softer servos than given deflect more for the same force, and what their damping makes of it is as much larger. */
     const double soft = clamp(m->stiffer, SOFTEST, 1.0);
     const double worst = soft * (far - c->options->noise_margin * noise) - SERVO_LATE * hasty;

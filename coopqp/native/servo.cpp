@@ -5,38 +5,33 @@
 
 /* Start of a way, and its unknowns. */
 struct Way {
-    double R[9], p[3];       /* the pose in motion */
-    double twist[6];         /* its velocity, in world axes */
-    const double *goal;      /* R (9), p (3) */
-    double speed, spin;      /* of the straight way */
-    double begin;            /* time in which the present motion dies away [s] */
-    double line[3], turn[3]; /* the straight way */
-    double full[6];          /* its twist at full speed, in world axes */
+    Pose T;              /* in motion */
+    Vector6 twist;       /* its velocity, in world axes */
+    Pose goal;
+    double speed, spin;  /* of the straight way */
+    double begin;        /* time in which the present motion dies away [s] */
+    Vector3 line, turn;  /* the straight way */
+    Vector6 full;        /* its twist at full speed, in world axes */
 };
 
 /* Set the straight way from where the present motion ends; its time at full speed [s]. */
 static double straight(Way *w) {
-    const double b = 0.5 * w->begin, spun[3] = {b * w->twist[3], b * w->twist[4], b * w->twist[5]};
-    double E[9], R[9], D[9];
-    exp3(spun, E);
-    multiply3(E, w->R, R);
-    multiply3_back(R, w->goal, D);
-    rotation_vector(D, w->turn);
-    for (int i = 0; i < 3; i++) w->line[i] = w->goal[9 + i] - w->p[i] - b * w->twist[i];
-    const double nominal = fmax(sqrt(dot3(w->line, w->line)) / w->speed, sqrt(dot3(w->turn, w->turn)) / w->spin);
-    memset(w->full, 0, sizeof w->full);
+    const Vector6 gone = 0.5 * w->begin * w->twist;
+    const Matrix3 R = exp3(gone.tail<3>()) * w->T.R;
+    w->turn = rotation_vector(R.transpose() * w->goal.R);
+    w->line = w->goal.p - w->T.p - gone.head<3>();
+    const double nominal = fmax(w->line.norm() / w->speed, w->turn.norm() / w->spin);
+    w->full.setZero();
     if (nominal < NOWHERE) return 0.0;
-    rotate(R, w->turn, w->full + 3);
-    for (int i = 0; i < 3; i++) w->full[i] = w->line[i] / nominal, w->full[3 + i] /= nominal;
+    w->full = both(w->line, R * w->turn) / nominal;
     return nominal;
 }
 
 /* Seconds that each joint takes for the present motion, and for the straight way at full speed; 0 if an arm is singular. */
-static int efforts(Core *c, const Way *w, const double *jacobian, double *before, double *after) {
-    double *present = sketch_of(c).w;
-    for (int i = 0; i < 6 * c->arms; i++) present[i] = w->twist[i % 6];
-    memset(before, 0, sizeof(double) * (size_t)c->joints);
-    memset(after, 0, sizeof(double) * (size_t)c->joints);
+static int efforts(Core *c, const Way *w, const double *jacobian, Vector &before, Vector &after) {
+    Twists present = sketch_of(c).w;
+    present.colwise() = w->twist;
+    before.setZero(), after.setZero();
     if (!two_velocities(c, jacobian, present, w->full, nullptr, nullptr, before, after)) return 0;
     for (int j = 0; j < c->joints; j++) {
         const double planned = CHANGE_SHARE * c->plan_acceleration[j];
@@ -59,12 +54,13 @@ static double largest_speed(const Core *c, const double *before, const double *a
 
 /* The segment of a way that begins at a clock; 0 if an arm is singular. */
 static int way_to(Core *c, Way *w, double clock, double *segment) {
-    const Sketch s = sketch_of(c);
-    double *before = s.step, *after = s.after, end = 0.0, duration;
+    Sketch s = sketch_of(c);
+    Vector &before = s.step, &after = s.after;
+    double end = 0.0, duration;
     w->begin = 0.0;
-    carry_and_linearise(c, c->positions, w->p, nullptr, s.jacobian);
-    if (!(largest_size(w->twist, 6) > STILL_OBJECT)) {
-        memset(w->twist, 0, sizeof w->twist);
+    carry_and_linearise(c, c->positions, w->T.p, nullptr, s.jacobian);
+    if (!(w->twist.cwiseAbs().maxCoeff() > STILL_OBJECT)) {
+        w->twist.setZero();
         const double nominal = straight(w);
         if (!efforts(c, w, s.jacobian, before, after)) return 0;
         for (int j = 0; j < c->joints; j++)
@@ -75,7 +71,7 @@ static int way_to(Core *c, Way *w, double clock, double *segment) {
         duration = fmax(fmax(nominal + 0.5 * end, end), SHORTEST_CHANGE);
     } else {
         double share = 1.0, nominal = 0.0, change = 0.0;
-        memset(w->full, 0, sizeof w->full);
+        w->full.setZero();
         if (!efforts(c, w, s.jacobian, before, after)) return 0;
         w->begin = fmax(largest_size(before, c->joints), SHORTEST_CHANGE);
         for (int pass = 0; pass < 4; pass++) { /* the way begins where the present motion has died away */
@@ -89,12 +85,10 @@ static int way_to(Core *c, Way *w, double clock, double *segment) {
         end = fmax(share * largest_size(after, c->joints), SHORTEST_CHANGE);
         duration = fmax(nominal / share + 0.5 * (w->begin + end), w->begin + end);
     }
-    memcpy(segment, w->R, sizeof w->R);
-    memcpy(segment + 9, w->p, sizeof w->p);
-    memcpy(segment + 12, w->turn, sizeof w->turn);
-    memcpy(segment + 15, w->line, sizeof w->line);
+    *reinterpret_cast<Pose *>(segment) = w->T;
+    Eigen::Map<Vector6>(segment + 12) = both(w->turn, w->line);
     segment[18] = clock, segment[19] = duration, segment[20] = 2.0;
-    memcpy(segment + 21, w->twist, sizeof w->twist);
+    Eigen::Map<Vector6>(segment + 21) = w->twist;
     segment[27] = w->begin, segment[28] = end;
     return 1;
 }
@@ -125,22 +119,19 @@ static int admits(Core *c, const double *numbers, double rate, int needed) {
 
 static int go_over(Core *c, const double *goal, double speed, double spin, double full, double *numbers) {
     const double clock = c->loop->clock, now = c->loop->rate, *present = c->path_numbers;
-    double twist[6], fastest = 0.0;
-    Way w = {};
-    w.goal = goal, w.speed = speed, w.spin = spin;
+    Vector6 twist;
+    Way w;
+    w.goal = *reinterpret_cast<const Pose *>(goal), w.speed = speed, w.spin = spin;
     stay_near(c, c->positions);
-    if (!path_pose(c, clock, w.R, w.p) || !path_twist(c, clock, twist)) return -1;
-    for (int i = 0; i < 6; i++) fastest = fmax(fastest, fabs(now * twist[i]));
-    const int rests = !(fastest > STILL_OBJECT);
+    if (!path_pose(c, clock, w.T) || !path_twist(c, clock, twist)) return -1;
+    const bool rests = !((now * twist).cwiseAbs().maxCoeff() > STILL_OBJECT);
     if (rests && jumps(c, nullptr)) return 0; /* self-motion goes on where the object rests; the new way begins at rest */
     const Ahead ahead = *c->ahead;
     const Loop loop = *c->loop;
     for (int tries = 0; tries < (rests ? 1 : 2); tries++) {
         const double rate = rests ? 0.0 : tries ? fmin(now, full) : full;
         if (!rests && (!(rate > 0.0) || (tries && rate == full))) continue;
-        rotate(w.R, twist, w.twist);
-        rotate(w.R, twist + 3, w.twist + 3);
-        for (int i = 0; i < 6; i++) w.twist[i] *= rests ? 0.0 : now / rate;
+        w.twist = (rests ? 0.0 : now / rate) * turned(w.T.R, twist);
         double *segment = numbers + 4;
         if (!way_to(c, &w, clock, segment)) return -1;
         numbers[0] = c->duration, numbers[1] = numbers[2] = 1.0, numbers[3] = clock + segment[19];

@@ -42,49 +42,36 @@ static int believe(Core *c, const double *q, double *positions) {
 
 /* Where the arms hold the object, by their shares in the common error: the reference pose where the path has none. */
 static void hold_here(Core *c) {
-    double E[9], away[3], e[3], mean[6] = {0}, R[9], p[3];
-    const double *first = c->carried;
-    for (int k = 0; k < c->arms; k++) {
-        const double *O = c->carried + 12 * k;
-        double twist[6];
-        multiply3_back(first, O, E);
-        for (int i = 0; i < 3; i++) away[i] = O[9 + i] - first[9 + i];
-        rotate_back(first, away, e);
-        if (!log6(E, e, twist)) memset(twist, 0, sizeof twist);
-        for (int i = 0; i < 6; i++) mean[i] += c->shares[6 * k + i] * twist[i];
-    }
-    exp6(mean, R, p);
-    multiply3(first, R, c->R);
-    rotate(first, p, c->p);
-    for (int i = 0; i < 3; i++) c->p[i] += first[9 + i];
+    const Pose &first = c->carried[0];
+    Vector6 mean = Vector6::Zero(), twist;
+    for (int k = 0; k < c->arms; k++)
+        if (log6(between(first, c->carried[k]), twist)) mean += c->shares.col(k).cwiseProduct(twist);
+    *c->pose = compose(first, exp6(mean));
 }
 
 /* The object's error for the path correction: the commanded one plus the further measured error, which fades in slowly.
  * While the arms hold it is 0: the measured error of an arm that does not move would lead the others away without end. */
 static int let_in(Core *c, const double *positions, const double *q) {
     Proposal *p = c->proposal;
-    double commanded[6];
     const double h = p->dt;
     const double corrects = c->minding ? c->minding->corrects : 1.0; /* arms that mind forces relax first */
     if (!positions && !((c->loop->drifted != 0.0 || corrects < 1.0) && p->hold == 0.0)) {
-        memset(c->measured, 0, 6 * sizeof(double));
+        c->measured.setZero();
         return p->hold != 0.0;
     }
     if (p->has_errors == 0.0) return 0;
-    common_error(c, c->errors, commanded);
+    const Vector6 commanded = common_error(c, c->errors);
     if (positions) {
-        double *carried = c->measured_carried, *away = c->measured_away, found[6];
-        carry(c, positions, carried);
-        if (!errors_at(c, carried, c->R, c->p, away)) return 0;
-        common_error(c, away, found);
-        for (int i = 0; i < 6 * c->arms; i++) away[i] -= c->errors[i];
+        Twists &away = c->measured_away;
+        carry(c, positions, c->measured_carried);
+        if (!errors_at(c, c->measured_carried, *c->pose, away)) return 0;
+        const Vector6 found = common_error(c, away);
+        away -= c->errors;
         watch_sample(c, positions, q, away, h);
-        const double fresh = h / (h + c->options->measurement_time);
-        for (int i = 0; i < 6; i++) c->drift[i] += fresh * (found[i] - commanded[i] - c->drift[i]);
+        c->drift += h / (h + c->options->measurement_time) * (found - commanded - c->drift);
         c->loop->drifted = 1.0;
     }
-    const double share = p->hold != 0.0 ? 0.0 : corrects * p->watch_cap;
-    for (int i = 0; i < 6; i++) c->measured[i] = share * (commanded[i] + c->drift[i]);
+    c->measured = (p->hold != 0.0 ? 0.0 : corrects * p->watch_cap) * (commanded + c->drift);
     return 1;
 }
 
@@ -92,35 +79,32 @@ static int let_in(Core *c, const double *positions, const double *q) {
 static int goes_back(Core *c) {
     const Proposal *p = c->proposal;
     Minding *m = c->minding;
-    double common[6], way[3];
     if (!m || m->backs == 0.0 || m->sensor_fault != SENSORS_FINE) return 0;
     const double gain = fmin(c->options->path_gain, 1.0 / p->dt);
     if ((p->hold != 0.0 && p->reason != TOUCHING) || !(gain > 0.0) || p->has_errors == 0.0) return 0;
-    rotate_back(c->R, minding_of(c->arms, m).push + 9, way);
-    common_error(c, c->errors, common);
-    const double far = dot3(way, common);
+    const Vector3 way = c->pose->R.transpose() * minding_of(c->arms, m).push->back;
+    const double far = way.dot(common_error(c, c->errors).head<3>());
     if (isnan(m->back_from)) m->back_from = far;
     const double room = CONTACT_ROOM + CONTACT_WAY * m->back_speed - (far - m->back_from);
     const double speed = minimum(m->backs, maximum(room, 0.0) / p->dt);
-    for (int i = 0; i < 3; i++) c->measured[i] = -speed / gain * way[i], c->measured[3 + i] = 0.0;
+    c->measured = both(-speed / gain * way, Vector3::Zero());
     return 1;
 }
 
-static double pose_distance(const double *R0, const double *p0, const double *R1, const double *p1) {
-    double trace = 0.0, square = 0.0;
-    for (int i = 0; i < 9; i++) trace += R0[i] * R1[i];
-    for (int i = 0; i < 3; i++) square += (p1[i] - p0[i]) * (p1[i] - p0[i]);
-    return sqrt(square) + TURN_LENGTH * acos(clamp(0.5 * (trace - 1.0), -1.0, 1.0));
+static double pose_distance(const Pose &A, const Pose &B) {
+    const double trace = A.R.cwiseProduct(B.R).sum();
+    return (B.p - A.p).norm() + TURN_LENGTH * acos(clamp(0.5 * (trace - 1.0), -1.0, 1.0));
 }
 
 /* The reference pose; of a user's own path also how far it jumps, in this step or since the last. 0 if the path fails. */
 static int ask_for_path(Core *c, double h, double *far) {
-    double R[9], p[3], *away = &c->loop->away;
-    if (!path_pose(c, c->loop->clock, c->R, c->p)) return 0;
+    Pose later;
+    double *away = &c->loop->away;
+    if (!path_pose(c, c->loop->clock, *c->pose)) return 0;
     if (c->path_numbers[2] != 0.0) return 1;
-    if (!path_pose(c, c->loop->clock + h, R, p)) return 0;
-    const double now = pose_distance(c->R, c->p, c->carried, c->carried + 9); /* of the object as the first arm carries it */
-    *far = fmax(pose_distance(c->R, c->p, R, p), now - *away);
+    if (!path_pose(c, c->loop->clock + h, later)) return 0;
+    const double now = pose_distance(*c->pose, c->carried[0]); /* of the object as the first arm carries it */
+    *far = fmax(pose_distance(*c->pose, later), now - *away);
     if (*far <= FASTEST_PATH * h) *away = now;
     return 1;
 }
@@ -157,7 +141,7 @@ static void observe(Core *c, const double *q, const double *dt) {
         refuse(c, (Reason)(int)c->loop->fault, (int)c->loop->fault_arm, c->loop->fault_a);
         p->reason_b = c->loop->fault_b, p->faults = 1.0;
     }
-    p->has_errors = errors_at(c, c->carried, c->R, c->p, c->errors);
+    p->has_errors = errors_at(c, c->carried, *c->pose, c->errors);
     if (p->has_errors != 0.0) watch_chain(c);
     p->has_measured = let_in(c, q ? positions : nullptr, q);
     if (goes_back(c)) p->has_measured = 1.0;
@@ -246,13 +230,11 @@ static void find_cap(Core *c) {
 
 /* Limit the error that the path correction sees, so that the correction is `keep` of the last one. */
 static void brake_correction(Core *c, double keep) {
-    if (c->proposal->has_measured == 0.0 && c->proposal->has_errors != 0.0)
-        common_error(c, c->errors, c->measured);
+    if (c->proposal->has_measured == 0.0 && c->proposal->has_errors != 0.0) c->measured = common_error(c, c->errors);
     for (int part = 0; part < 6; part += 3) {
-        const double now = c->options->path_gain * sqrt(dot3(c->measured + part, c->measured + part));
-        const double last = sqrt(dot3(c->correcting + part, c->correcting + part));
-        const double allowed = c->loop->correcting != 0.0 ? keep * last : 0.0;
-        for (int i = part; now > allowed && i < part + 3; i++) c->measured[i] *= allowed / now;
+        const double now = c->options->path_gain * c->measured.segment<3>(part).norm();
+        const double allowed = c->loop->correcting != 0.0 ? keep * c->correcting.segment<3>(part).norm() : 0.0;
+        if (now > allowed) c->measured.segment<3>(part) *= allowed / now;
     }
     c->proposal->has_measured = 1.0;
 }
@@ -261,59 +243,45 @@ static void brake_correction(Core *c, double keep) {
 static void wish(Core *c) {
     if (c->looks_ahead && led(c)) {
         elbow_velocity(c, c->loop->clock, c->proposal->span, c->positions, c->null_along);
-        memset(c->null_offset, 0, sizeof(double) * (size_t)c->joints);
+        c->null_offset.setZero();
     } else if (c->looks_ahead) {
         preview_reference(c, c->loop->clock, c->null_offset, c->null_along);
-        for (int j = 0; j < c->joints; j++)
-            c->null_offset[j] = c->options->posture_gain * (c->null_offset[j] - c->positions[j]);
+        c->null_offset = c->options->posture_gain * (c->null_offset - c->positions);
     } else {
-        memset(c->null_along, 0, sizeof(double) * (size_t)c->joints);
+        c->null_along.setZero();
         posture_velocity(c, c->positions, c->null_offset);
     }
-    if (c->loop->ease < 1.0)
-        for (int j = 0; j < c->joints; j++) c->null_offset[j] *= c->loop->ease;
-    if (c->proposal->hold != 0.0) memset(c->null_offset, 0, sizeof(double) * (size_t)c->joints);
+    if (c->loop->ease < 1.0) c->null_offset *= c->loop->ease;
+    if (c->proposal->hold != 0.0) c->null_offset.setZero();
 }
 
 /* Mean twists of the object in a step of velocities v, as each arm carries it, in the world frame about the reference
  * origin: log(O(q + h v) O(q)⁻¹) / h. */
-static int twists_made(Core *c, const double *v, double h) {
-    double *ahead = c->scratch, *after = ahead + c->joints;
-    for (int j = 0; j < c->joints; j++) ahead[j] = c->positions[j] + h * v[j];
+static int twists_made(Core *c, const Vector &v, double h) {
+    Vector ahead(c->scratch, c->joints, 1);
+    Pose *after = reinterpret_cast<Pose *>(c->scratch + c->joints);
+    ahead = c->positions + h * v;
     carry(c, ahead, after);
     for (int k = 0; k < c->arms; k++) {
-        const double *O = c->carried + 12 * k, *O1 = after + 12 * k;
-        double D[9], before[3], moved[3];
-        for (int i = 0; i < 3; i++) /* D = R₁ Rᵀ */
-            for (int m = 0; m < 3; m++) D[3 * i + m] = dot3(O1 + 3 * i, O + 3 * m);
-        for (int i = 0; i < 3; i++) before[i] = O[9 + i] - c->p[i];
-        rotate(D, before, moved);
-        for (int i = 0; i < 3; i++) moved[i] = O1[9 + i] - c->p[i] - moved[i];
-        if (!log6(D, moved, c->made + 6 * k)) return 0;
-        for (int i = 6 * k; i < 6 * k + 6; i++) c->made[i] /= h;
+        const Pose &O = c->carried[k];
+        const Matrix3 D = after[k].R * O.R.transpose();
+        if (!log6({D, after[k].p - c->pose->p - D * (O.p - c->pose->p)}, c->made.col(k))) return 0;
     }
+    c->made /= h;
     return 1;
 }
 
 /* b_k = A_k v less the twists made, of arm k, in the reference object frame. */
-static void defect(const Core *c, int k, const double *v, double *b) {
-    const int start = (int)c->arm_start[k], end = start + (int)c->arm_size[k];
-    double off[6];
-    for (int i = 0; i < 6; i++) {
-        off[i] = -c->made[6 * k + i];
-        for (int j = start; j < end; j++) off[i] += c->jacobian[6 * j + i] * v[j];
-    }
-    rotate_back(c->R, off, b);
-    rotate_back(c->R, off + 3, b + 3);
+static Vector6 defect(const Core *c, int k, const Vector &v) {
+    const auto [start, n] = joints_of(c, k);
+    return turned_back(c->pose->R, c->jacobian.middleCols(start, n).lazyProduct(v.segment(start, n)) - c->made.col(k));
 }
 
 /* By how much the step that the command makes misses the twists that it was to make [m, rad]. */
 static double missed(const Core *c, double h) {
-    double most = 0.0, b[6];
-    for (int k = 0; k < c->arms; k++) {
-        defect(c, k, c->command, b);
-        for (int i = 0; i < 6; i++) most = fmax(most, fabs(b[i] - c->foresees[6 * k + i]));
-    }
+    double most = 0.0;
+    for (int k = 0; k < c->arms; k++)
+        most = fmax(most, (defect(c, k, c->command) - c->foresees.col(k)).cwiseAbs().maxCoeff());
     return most * h;
 }
 
@@ -339,7 +307,7 @@ static Outcome settle(Core *c, double cap) {
     const double h = p->dt;
     p->new_rate = cap, p->binding_row = -1.0, p->bindings = 0.0;
     p->grasp_share = p->path_share = p->made = 1.0, p->parting = 0.0, p->braked = 0.0;
-    memset(c->off_path, 0, 6 * sizeof(double));
+    c->off_path.setZero();
     if (c->options->shortcut != 0.0 && nominal_command(c, cap)) {
         if (well_inside(c, h) && further_admissible(c, LIMIT_TOLERANCE)) return NOMINAL;
         if (box(c, h)) {
@@ -355,10 +323,10 @@ static Outcome settle(Core *c, double cap) {
 }
 
 /* Linearise at the middle of the way that joint velocities make; the middle is in `scratch`. */
-static void linearise_about(Core *c, const double *v) {
-    double *middle = c->scratch;
-    for (int j = 0; j < c->joints; j++) middle[j] = c->positions[j] + 0.5 * c->proposal->dt * v[j];
-    carry_and_linearise(c, middle, c->p, nullptr, c->jacobian);
+static void linearise_about(Core *c, const Vector &v) {
+    Vector middle(c->scratch, c->joints, 1);
+    middle = c->positions + 0.5 * c->proposal->dt * v;
+    carry_and_linearise(c, middle, c->pose->p, nullptr, c->jacobian);
 }
 
 static int answered(Outcome outcome) { return outcome != OPEN && outcome != FILLED; }
@@ -379,32 +347,23 @@ static int long_step(const Core *c) {
  * solver. */
 static Outcome settle_again(Core *c, double cap, Outcome outcome, int least) {
     const double h = c->proposal->dt;
-    const size_t joints = sizeof(double) * (size_t)c->joints, twists = 6 * sizeof(double) * (size_t)c->arms;
     double smallest = INFINITY;
     for (int done = 0;; done++) {
         if (!answered(outcome) || !twists_made(c, c->command, h)) return OPEN;
         const double miss = missed(c, h);
         const int best = miss < smallest;
         const int last = done == (int)EXTRA_AT_START || (done >= least && miss <= SETTLED);
-        if (best) {
-            smallest = miss;
-            memcpy(c->best_guess, c->guess, joints);
-            memcpy(c->best_offsets, c->offsets, twists);
-            memcpy(c->best_foresees, c->foresees, twists);
-        }
+        if (best) smallest = miss, c->best_guess = c->guess, c->best_offsets = c->offsets, c->best_foresees = c->foresees;
         if (last && best) return outcome;
-        memcpy(c->guess, last ? c->best_guess : c->command, joints);
+        c->guess = last ? c->best_guess : c->command;
         linearise_about(c, c->guess);
         if (last) {
-            memcpy(c->offsets, c->best_offsets, twists);
-            memcpy(c->foresees, c->best_foresees, twists);
+            c->offsets = c->best_offsets, c->foresees = c->best_foresees;
             outcome = settle(c, cap);
             return answered(outcome) ? outcome : OPEN;
         }
-        for (int k = 0; k < c->arms; k++) {
-            defect(c, k, c->guess, c->foresees + 6 * k);
-            for (int i = 6 * k; i < 6 * k + 6; i++) c->offsets[i] = c->left_over[i] + c->foresees[i];
-        }
+        for (int k = 0; k < c->arms; k++) c->foresees.col(k) = defect(c, k, c->guess);
+        c->offsets = c->left_over + c->foresees;
         outcome = settle(c, cap);
     }
 }
@@ -417,21 +376,20 @@ static int brakes_together(const Core *c) {
 /* The ranked answer under the cap and the further rows; returns an outcome. */
 static Outcome answer(Core *c) {
     Proposal *p = c->proposal;
-    double *start = c->first_guess;
     const int first = c->loop->first != 0.0;
     c->further_rows = c->given_rows;
     if (brakes_together(c)) brake_together(c);
     p->rows = c->further_rows;
-    for (int j = 0; j < c->joints; j++) c->guess[j] = 2.0 * c->velocity[j] - c->before[j];
+    c->guess = 2.0 * c->velocity - c->before;
     linearise_about(c, c->guess);
     Outcome outcome = settle(c, p->cap);
     if (first && !answered(outcome)) outcome = OPEN;
     if (answered(outcome)) {
         const int again = long_step(c);
-        if (first) memcpy(start, c->command, sizeof(double) * (size_t)c->joints);
+        if (first) c->first_guess = c->command;
         if (first || again) outcome = settle_again(c, p->cap, outcome, again);
         /* The velocities at the start and the middle of the first step serve as the velocities of two steps. */
-        for (int j = 0; first && j < c->joints; j++) c->stand_in[j] = 2.0 * start[j] - c->command[j];
+        if (first) c->stand_in = 2.0 * c->first_guess - c->command;
     }
     p->outcome = outcome;
     return outcome;
@@ -451,8 +409,8 @@ static Outcome propose(Core *c) {
     const double expected = c->loop->rate + c->loop->rate_slope * h;
     const double pace = corner ? p->cap : fmin(p->cap, fmax(expected, 0.0));
     p->span = fmin(h * fmax(pace, LEAST_PACE), rest);
-    if (c->loop->path_lost != 0.0 || !path_increment(c, clock, p->span, c->R, c->p, c->along)) {
-        memset(c->along, 0, 6 * sizeof(double));
+    if (c->loop->path_lost != 0.0 || !path_increment(c, clock, p->span, *c->pose, c->along)) {
+        c->along.setZero();
         if (p->watch_cap > 0.0) refuse(c, PATH_FAILED, -1, clock);
         p->cap = 0.0;
     }
@@ -562,23 +520,18 @@ static Status lasting(Core *c, Status found, double rate) {
 
 /* How far the object is off its path [m], [rad], by the measurements; 0 within the options' bounds. */
 static int off_its_path(const Core *c, double *distance, double *angle) {
-    double e[6];
-    common_error(c, c->errors, e);
-    for (int i = 0; i < 6 && c->loop->drifted != 0.0; i++) e[i] += c->drift[i];
-    const double far = c->options->off_path_distance, wide = c->options->off_path_angle;
-    double R[9], shift[3]; /* at most as long as the twist's */
-    if (!(dot3(e, e) > far * far) && !(dot3(e + 3, e + 3) > wide * wide)) return 0;
-    exp6(e, R, shift);
-    *distance = sqrt(dot3(shift, shift)), *angle = sqrt(dot3(e + 3, e + 3));
-    if (!(*distance > far)) *distance = 0.0;
-    if (!(*angle > wide)) *angle = 0.0;
+    Vector6 e = common_error(c, c->errors);
+    if (c->loop->drifted != 0.0) e += c->drift;
+    const double far = c->options->off_path_distance, wide = c->options->off_path_angle, turn = e.tail<3>().norm();
+    if (!(e.head<3>().norm() > far) && !(turn > wide)) return 0; /* the shift is at most as long as the twist's */
+    const double shift = exp6(e).p.norm();
+    *distance = shift > far ? shift : 0.0, *angle = turn > wide ? turn : 0.0;
     return *distance > 0.0 || *angle > 0.0;
 }
 
 /* Whether an object whose clock stands rests; its errors are corrected. */
 static int rests(const Core *c) {
-    const double *off = c->off_path;
-    return sqrt(dot3(off, off)) <= RESTING_SPEED && sqrt(dot3(off + 3, off + 3)) <= RESTING_SPIN;
+    return c->off_path.head<3>().norm() <= RESTING_SPEED && c->off_path.tail<3>().norm() <= RESTING_SPIN;
 }
 
 static void bind_override(Core *c, double *entries) {
@@ -591,25 +544,14 @@ static void bind_override(Core *c, double *entries) {
 static void move_on(Core *c, double rate, double clock_next) {
     const Proposal *p = c->proposal;
     const double h = p->dt;
-    const int by_qp = p->outcome == QP;
-    double twist[6], square = 0.0;
-    for (int i = 0; i < 6; i++) {
-        twist[i] = p->path_share * c->path[i] + c->off_path[i];
-        square += twist[i] * twist[i];
-    }
+    const Vector6 twist = p->path_share * c->path + c->off_path;
     for (int k = 0; k < c->arms; k++)
-        for (int i = 0; i < 6; i++)
-            c->predicted[6 * k + i] =
-                c->errors[6 * k + i] + h * (p->grasp_share * c->grasp[6 * k + i] + c->offsets[6 * k + i] + twist[i]);
-    if (by_qp || accelerates(c)) {
-        c->loop->correcting = square > NEGLIGIBLE;
-        memcpy(c->correcting, twist, sizeof twist);
-    }
-    memcpy(c->foreseen, c->foresees, 6 * sizeof(double) * (size_t)c->arms);
-    const double *before = c->loop->first != 0.0 ? c->stand_in : c->velocity;
-    memmove(c->before, before, sizeof(double) * (size_t)c->joints);
-    memcpy(c->velocity, c->command, sizeof(double) * (size_t)c->joints);
-    for (int j = 0; j < c->joints; j++) c->positions[j] += h * c->command[j];
+        c->predicted.col(k) = c->errors.col(k) + h * (p->grasp_share * c->grasp.col(k) + c->offsets.col(k) + twist);
+    if (p->outcome == QP || accelerates(c)) c->loop->correcting = twist.squaredNorm() > NEGLIGIBLE, c->correcting = twist;
+    c->foreseen = c->foresees;
+    c->before = c->loop->first != 0.0 ? c->stand_in : c->velocity;
+    c->velocity = c->command;
+    c->positions += h * c->command;
     c->loop->has_predicted = p->parting == 0.0 && p->braked == 0.0 && c->loop->path_lost == 0.0;
     /* A start sets the rate, and where no acceleration is limited the first step may leave it by a jump: no slope. */
     const int jumped = c->loop->first != 0.0 && !accelerates(c);
@@ -667,8 +609,8 @@ static Status commit(Core *c) {
     r->reason = p->reason, r->reason_arm = p->reason_arm, r->reason_a = p->reason_a, r->reason_b = p->reason_b;
     r->grasp_share = p->grasp_share, r->path_share = p->path_share, r->parting = p->parting;
     r->outcome = p->outcome, r->iterations = p->iterations, r->apart = p->apart;
-    memcpy(off_path, c->off_path, 6 * sizeof(double));
-    memcpy(velocity, c->command, sizeof(double) * (size_t)c->joints);
+    Twist(off_path, 6, 1) = c->off_path;
+    Vector(velocity, c->joints, 1) = c->command;
     write_configuration(c, q);
     chain_watched(c);
     move_on(c, rate, clock_next);
@@ -691,16 +633,13 @@ static void start_path(Core *c, double clock, double rate) {
 
 /* Start at rest at `positions`. */
 static void start(Core *c, const double *positions) {
-    const size_t size = sizeof(double) * (size_t)c->joints;
     const double override = c->loop->overridden, pause = c->loop->pause; /* a start ends neither */
     *c->loop = Loop{};
     c->loop->overridden = override, c->loop->pause = pause;
     c->loop->ease = rate_asked(c) < c->options->blocked_rate ? 0.0 : 1.0;
-    memmove(c->positions, positions, size);
-    memset(c->velocity, 0, size);
-    memset(c->before, 0, size);
-    memset(c->drift, 0, 6 * sizeof(double));
-    memset(c->correcting, 0, 6 * sizeof(double));
+    c->positions = Vector(const_cast<double *>(positions), c->joints, 1);
+    c->velocity.setZero(), c->before.setZero();
+    c->drift.setZero(), c->correcting.setZero();
     c->loop->last_dt = c->options->nominal_dt;
     watch_reset(c);
 }

@@ -190,11 +190,7 @@ static void raise_interrupt(BoundCore *self) {
     throw error;
 }
 
-static int ask_path(Core *c, double clock, int twist, double *out) {
-    if (!filled_in(c, OWN_PATH, clock, twist)) return 0;
-    memcpy(out, c->own_pose, (size_t)(twist ? 6 : 12) * sizeof(double));
-    return 1;
-}
+static int ask_path(Core *c, double clock, int twist) { return filled_in(c, OWN_PATH, clock, twist); }
 
 static int ask_knot(Core *c, int slot) {
     c->knot_asked = 1;
@@ -373,7 +369,8 @@ static void linearise(BoundCore &self, const In &positions, const In &about, Out
     check_fit(positions.size == self.joints && about.size == 3 && carried.size == 12 * self.arms &&
                   jacobian.size == 6 * self.joints,
               "expected arrays of the right length");
-    self.can->linearise(&self, positions.data, about.data, carried.data, jacobian.data);
+    self.can->linearise(&self, positions.data, Eigen::Map<const Vector3>(about.data),
+                        reinterpret_cast<Pose *>(carried.data), jacobian.data);
 }
 
 /* Each tool has moved by exp of its shift (6 numbers an arm) from its place, in the object frame. False if one is not finite. */

@@ -1,6 +1,6 @@
 /* The core as one unit: compiled for any processor and, where BUILD names another one, once more for a newer one. All of
  * it stands in a namespace of that name: of two templates or inline functions alike the linker keeps one, and this one's
- * instructions would run in the other build, too. */
+ * instructions would run in the other build, too. So Eigen has another name in the newer one: see CMakeLists.txt. */
 
 #include "core.h"
 
@@ -36,7 +36,7 @@ namespace BUILD {
 #include "allow.cpp"
 
 const Arithmetic arithmetic = {start,       start_path, observe, propose,             answer,         commit,
-                               read_answer, quiet_step, settle_step, move_grasp, mind, minded, carry, carry_and_linearise, least_distance,
+                               read_answer, quiet_step, settle_step, move_grasp, mind, minded, carry_and_linearise, least_distance,
                                go_over,     relax,      allow};
 
 }  // namespace BUILD

@@ -6,6 +6,7 @@
 #include <string.h>
 
 #include "values.h"
+#include "views.h"
 
 #ifndef BUILD
 #define BUILD plain

@@ -5,12 +5,24 @@
 
 #include <Eigen/Core>
 #include <Eigen/Geometry>
+#include <Eigen/Jacobi>
 
 using Vector3 = Eigen::Vector3d;
 using Vector6 = Eigen::Matrix<double, 6, 1>;
 using Matrix3 = Eigen::Matrix<double, 3, 3, Eigen::RowMajor>;
 using Matrix6 = Eigen::Matrix<double, 6, 6, Eigen::RowMajor>;
 using Matrix6X = Eigen::Matrix<double, 6, Eigen::Dynamic>;
+
+using Ref6 = Eigen::Ref<Vector6>;
+
+/* A placement: as 12 numbers of the memory, the rotation row by row. */
+template <typename M, typename V>
+struct PoseOf {
+    M R;
+    V p;
+};
+using Pose = PoseOf<Matrix3, Vector3>;
+static_assert(sizeof(Pose) == 12 * sizeof(double));
 
 /* A view that also is the pointer to its first number. */
 template <typename M>
@@ -25,9 +37,8 @@ struct View : Eigen::Map<M> {
 
 using Vector = View<Eigen::VectorXd>;                                /* a number of each joint, or arm */
 using Twists = View<Matrix6X>;                                       /* a twist of each */
+using Points = View<Eigen::Matrix3Xd>;
 using Twist = View<Vector6>;
-using Point = View<Vector3>;
-using Rotation = View<Matrix3>;
 using Square = View<Matrix6>;
 
 /* A field begins at a place in memory, and has so many numbers. */

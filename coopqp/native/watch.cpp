@@ -20,42 +20,41 @@ static void hold_for(Seen *seen, Reason reason, int arm, double a, double b) {
     seen->a = a, seen->b = b;
 }
 
-static double square6(const double *x) { return dot3(x, x) + dot3(x + 3, x + 3); }
-
 /* The larger of both; NaN stays NaN. */
 static double larger(double a, double b) { return a >= b || isnan(a) ? a : b; }
 
-static double largest_square6(const Core *c, const double *x) {
+/* Square of the largest length of some twists. */
+static double largest_square(const Twists &x) {
     double largest = 0.0;
-    for (int k = 0; k < c->arms; k++) largest = larger(largest, square6(x + 6 * k));
+    for (int k = 0; k < x.cols(); k++) largest = larger(largest, x.col(k).squaredNorm());
     return largest;
 }
 
 /* -- distances ----------------------------------------------------------------------------------------------------- */
 
 /* Displacements of the object as lengths at the grasps. */
-static void to_grasps(const Core *c, const double *away, double *out) {
-    memset(out, 0, sizeof(double) * 6 * (size_t)c->arms);
-    for (int k = 0; k < c->arms; k++)
-        for (int i = 0; i < 6; i++)
-            for (int j = 0; j < 6; j++) out[6 * k + j] += away[6 * k + i] * c->at_grasps[6 * i + j];
+static void to_grasps(const Core *c, const Twists &away, Twists &out) {
+    for (int k = 0; k < c->arms; k++) out.col(k) = c->at_grasps.transpose().lazyProduct(away.col(k));
+}
+
+/* The mean of the arms. */
+static Vector6 mean_of(const Twists &x) {
+    Vector6 mean = x.col(0);
+    for (int k = 1; k < x.cols(); k++) mean += x.col(k);
+    return mean / (double)x.cols();
 }
 
 /* How far each arm is from the mean of the others. */
-static void from_others(const Core *c, const double *x, double *out) {
+static void from_others(const Core *c, const Twists &x, Twists &out) {
     const double n = c->arms, factor = n / (n - 1.0);
-    double mean[6] = {};
-    for (int k = 0; k < c->arms; k++)
-        for (int i = 0; i < 6; i++) mean[i] += x[6 * k + i];
-    for (int i = 0; i < 6; i++) mean[i] /= n;
-    for (int k = 0; k < c->arms; k++)
-        for (int i = 0; i < 6; i++) out[6 * k + i] = factor * (x[6 * k + i] - mean[i]);
+    const Vector6 mean = mean_of(x);
+    for (int k = 0; k < c->arms; k++) out.col(k) = factor * (x.col(k) - mean);
 }
 
 /* Has arm k sent the numbers of the sample before, to the last bit? */
 static int repeats(const Core *c, int k, const double *q) {
-    const int last = (int)c->arm_start[k] + (int)c->arm_size[k] - 1;
-    const int begin = (int)c->q_index[(int)c->arm_start[k]];
+    const auto [start, n] = joints_of(c, k);
+    const int last = start + n - 1, begin = (int)c->q_index[start];
     const int end = (int)c->q_index[last] + (c->continuous[last] != 0.0 ? 2 : 1);
     for (int i = begin; i < end; i++)
         if (q[i] != c->seen[i]) return 0;
@@ -65,29 +64,24 @@ static int repeats(const Core *c, int k, const double *q) {
 static int has_lost(const Core *c, int k) { return c->lost[k] > 0.0 && c->lost[k] <= MOST_LOST; }
 
 /* A lost sample says nothing: the distance stays as it was. */
-static void keep_where_lost(Core *c, const double *q, double *away) {
+static void keep_where_lost(Core *c, const double *q, Twists &away) {
     for (int k = 0; k < c->arms; k++) {
         c->lost[k] = c->watch->has_seen != 0.0 && repeats(c, k, q) ? c->lost[k] + 1.0 : 0.0;
-        if (has_lost(c, k)) memcpy(away + 6 * k, c->away + 6 * k, 6 * sizeof(double));
+        if (has_lost(c, k)) away.col(k) = c->away.col(k);
     }
     memcpy(c->seen, q, sizeof(double) * (size_t)c->nq);
     c->watch->has_seen = 1.0;
 }
 
-/* Noise in unfiltered deviations (6 an arm) [m, rms], from their second differences, which motion hardly has. */
-static double noise_seen(int arms, double *samples, double *lasts, double *last_steps, double *noise, const double *away,
-                         double dt) {
+/* Noise in unfiltered deviations [m, rms], from their second differences, which motion hardly has. */
+static double noise_seen(double *samples, Twists &last, Twists &last_step, double *noise, const Twists &away, double dt) {
     double largest = 0.0;
     *samples = fmin(*samples + 1.0, NOISE_TIME / dt);
     const double gain = 1.0 / fmax(*samples - 2.0, 1.0);
-    for (int k = 0; k < arms; k++) {
-        double *last = lasts + 6 * k, *last_step = last_steps + 6 * k, bend[6];
-        for (int i = 0; i < 6; i++) {
-            double step = away[6 * k + i] - last[i];
-            bend[i] = step - last_step[i];
-            last[i] = away[6 * k + i], last_step[i] = step;
-        }
-        if (*samples > 2.0) noise[k] += gain * (square6(bend) - noise[k]); /* the first have no past */
+    for (int k = 0; k < away.cols(); k++) {
+        const Vector6 step = away.col(k) - last.col(k), bend = step - last_step.col(k);
+        last.col(k) = away.col(k), last_step.col(k) = step;
+        if (*samples > 2.0) noise[k] += gain * (bend.squaredNorm() - noise[k]); /* the first have no past */
         largest = larger(largest, noise[k]);
     }
     return sqrt(largest / 6.0);
@@ -99,8 +93,9 @@ static double noise_seen(int arms, double *samples, double *lasts, double *last_
  * Returns the largest growth. */
 static double shrink_drift(Core *c, double *change) {
     double largest = 0.0;
+    double *drifts = c->slow_drift;
     for (int i = 0; i < 6 * c->arms; i++) {
-        double *drift = c->slow_drift + i, shrunk = 0.0;
+        double *drift = drifts + i, shrunk = 0.0;
         if (change[i] * *drift < 0.0) shrunk = copysign(fmin(fabs(change[i]), fabs(*drift)), change[i]);
         *drift += shrunk;
         change[i] -= shrunk;
@@ -110,8 +105,8 @@ static double shrink_drift(Core *c, double *change) {
 }
 
 /* One step of the filter of least variance for distance = drift + lag speed; the drift grows by `most` at most. */
-static void update_drift(Core *c, const double *apart, double noise, double speed, double most, double dt,
-                         double *change) {
+static void update_drift(Core *c, const Twists &apart, double noise, double speed, double most, double dt,
+                         Twists &change) {
     Watch *w = c->watch;
     const double fresh = dt / (SMOOTHING + dt), limit = c->options->let_in;
     w->drift_speed += fresh * (speed - w->drift_speed);
@@ -119,16 +114,15 @@ static void update_drift(Core *c, const double *apart, double noise, double spee
     const double s = w->drift_speed;
     const double hb = w->var_drift + w->covariance * s, hc = w->covariance + w->var_lag * s;
     const double scale = 1.0 / (hb + hc * s + (DRIFT_FLOOR * DRIFT_FLOOR + noise * noise) * DRIFT_SAMPLE / dt);
-    for (int i = 0; i < 6 * c->arms; i++) {
-        c->apart[i] += fresh * (apart[i] - c->apart[i]);
-        double surprise = c->apart[i] - c->slow_drift[i] - s * c->lag[i];
-        c->lag[i] += scale * hc * surprise;
-        change[i] = scale * hb * surprise;
+    c->apart += fresh * (apart - c->apart);
+    for (int k = 0; k < c->arms; k++) {
+        const Vector6 surprise = c->apart.col(k) - c->slow_drift.col(k) - s * c->lag.col(k);
+        c->lag.col(k) += scale * hc * surprise;
+        change.col(k) = scale * hb * surprise;
     }
     const double largest = shrink_drift(c, change);
     const double share = largest > most ? most / largest : 1.0;
-    for (int i = 0; i < 6 * c->arms; i++)
-        c->slow_drift[i] = clamp(c->slow_drift[i] + share * change[i], -limit, limit);
+    c->slow_drift = (c->slow_drift + share * change).cwiseMax(-limit).cwiseMin(limit);
     w->var_drift = fmax(w->var_drift - scale * hb * hb, 0.0);
     w->covariance -= scale * hb * hc;
     /* Too fast for a drift: the lag may have changed. */
@@ -136,71 +130,62 @@ static void update_drift(Core *c, const double *apart, double noise, double spee
 }
 
 /* Distances without the drift. */
-static void without_drift(Core *c, const double *apart, double noise, double dt, double *out) {
+static void without_drift(Core *c, const Twists &apart, double noise, double dt, Twists &out) {
     Watch *w = c->watch;
     w->drift_since += dt;
     if (w->drift_started == 0.0) {
-        memcpy(c->drift_last, c->positions, sizeof(double) * (size_t)c->joints);
+        c->drift_last = c->positions;
         w->drift_started = 1.0;
     } else if (w->drift_since >= DRIFT_PERIOD) {
-        double way = 0.0; /* joints count with a lever of 1 m */
-        for (int j = 0; j < c->joints; j++) {
-            double moved = fabs(c->positions[j] - c->drift_last[j]);
-            way = moved > way ? moved : way;
-            c->drift_last[j] = c->positions[j];
-        }
+        const double way = (c->positions - c->drift_last).cwiseAbs().maxCoeff(); /* joints count with a lever of 1 m */
+        c->drift_last = c->positions;
         update_drift(c, apart, noise, way / w->drift_since, LARGEST_SLOPE * way, w->drift_since, out);
         w->drift_since = 0.0;
     }
-    for (int i = 0; i < 6 * c->arms; i++) out[i] = apart[i] - c->slow_drift[i];
+    out = apart - c->slow_drift;
 }
 
 /* Distances of rigid grips, which have no lag in them, without a drift that follows them at once. */
-static void follow_drift(Core *c, const double *apart, double dt, double *out) {
-    double way = 0.0, fastest = 1e-300;
-    const double limit = c->options->let_in;
-    for (int j = 0; j < c->joints; j++) {
-        if (c->watch->drift_started != 0.0) way = fmax(way, fabs(c->positions[j] - c->drift_last[j]));
-        c->drift_last[j] = c->positions[j];
-    }
+static void follow_drift(Core *c, const Twists &apart, double dt, Twists &out) {
+    const double limit = c->options->let_in, started = c->watch->drift_started;
+    const double way = started != 0.0 ? (c->positions - c->drift_last).cwiseAbs().maxCoeff() : 0.0;
+    c->drift_last = c->positions;
     c->watch->drift_started = 1.0;
-    for (int i = 0; i < 6 * c->arms; i++) fastest = fmax(fastest, fabs(apart[i] - c->slow_drift[i]));
     c->minding->way_done = way;
-    const double share = fmin((LARGEST_SLOPE * way + GROWS * dt) / fastest, 1.0);
-    for (int i = 0; i < 6 * c->arms; i++) {
-        c->slow_drift[i] = clamp(c->slow_drift[i] + share * (apart[i] - c->slow_drift[i]), -limit, limit);
-        out[i] = apart[i] - c->slow_drift[i];
-    }
+    out = apart - c->slow_drift;
+    const double share = fmin((LARGEST_SLOPE * way + GROWS * dt) / fmax(out.cwiseAbs().maxCoeff(), 1e-300), 1.0);
+    c->slow_drift = (c->slow_drift + share * out).cwiseMax(-limit).cwiseMin(limit);
+    out = apart - c->slow_drift;
 }
 
 /* -- out of step --------------------------------------------------------------------------------------------------- */
 
 /* Count the samples in a row in which an arm is as far from the others as a fault needs. One that the arm farthest from
  * its command has lost says nothing. */
-static void count_far(Core *c, const double *away, const double *apart, const double *out_of_step, double *unfiltered) {
+static void count_far(Core *c, const Twists &away, const Twists &apart, const Twists &out_of_step, Twists &unfiltered) {
     int farthest = 0;
     double most = -1.0;
     for (int k = 0; k < c->arms; k++) {
-        double own = square6(away + 6 * k);
+        const double own = away.col(k).squaredNorm();
         if (own > most) most = own, farthest = k;
     }
     if (has_lost(c, farthest)) return;
     from_others(c, away, unfiltered);
-    for (int i = 0; i < 6 * c->arms; i++) unfiltered[i] -= apart[i] - out_of_step[i];
+    unfiltered -= apart - out_of_step;
     const double limit = c->options->fault_from;
-    const int far = largest_square6(c, unfiltered) >= limit * limit;
+    const int far = largest_square(unfiltered) >= limit * limit;
     c->watch->far_samples = far ? c->watch->far_samples + 1.0 : 0.0;
 }
 
-static double own_distance(const Core *c, int k) { return sqrt(square6(c->deviation + 6 * k)); }
+static double own_distance(const Core *c, int k) { return c->deviation.col(k).norm(); }
 
-static int as_far(const double *out_of_step, int k, double largest) {
-    return sqrt(square6(out_of_step + 6 * k)) >= 0.99 * largest;
+static int as_far(const Twists &out_of_step, int k, double largest) {
+    return out_of_step.col(k).norm() >= 0.99 * largest;
 }
 
 /* Of arms equally far from the others, as two arms always are, the one that is not where it should be; of several, the
  * one that was named last, or the first. */
-static int most_out_of_step(const Core *c, const double *out_of_step, double largest) {
+static int most_out_of_step(const Core *c, const Twists &out_of_step, double largest) {
     const int last = (int)c->watch->watch_arm;
     double most = -1.0;
     int arm = -1;
@@ -213,30 +198,29 @@ static int most_out_of_step(const Core *c, const double *out_of_step, double lar
 }
 
 /* Deviation of each arm from the mean of the others that slows or stops the object. */
-static void watch_distances(Core *c, const double *q, const double *away_given, double dt, int rigid, Seen *seen) {
+static void watch_distances(Core *c, const double *q, const Twists &away_given, double dt, int rigid, Seen *seen) {
     const Options *o = c->options;
-    const int count = 6 * c->arms;
-    double *away = c->scratch, *apart = away + count, *out_of_step = apart + count, *unfiltered = out_of_step + count;
+    const auto scratch = [&](int i) { return Twists(c->scratch + 6 * i * c->arms, 6, c->arms); };
+    Twists away = scratch(0), apart = scratch(1), out_of_step = scratch(2), unfiltered = scratch(3);
     to_grasps(c, away_given, away);
     keep_where_lost(c, q, away);
-    const double fresh = dt / (o->filter_time + dt);
-    for (int i = 0; i < count; i++) c->deviation[i] += fresh * (away[i] - c->deviation[i]);
+    c->deviation += dt / (o->filter_time + dt) * (away - c->deviation);
     const double share = sqrt(dt / (2.0 * o->filter_time + dt)); /* of the noise that passes the filter */
-    const double noise = share * noise_seen(c->arms, &c->watch->samples, c->away, c->away_step, c->noise, away, dt);
+    const double noise = share * noise_seen(&c->watch->samples, c->away, c->away_step, c->noise, away, dt);
     from_others(c, c->deviation, apart);
     if (o->let_in > 0.0 && rigid)
         follow_drift(c, apart, dt, out_of_step);
     else if (o->let_in > 0.0)
         without_drift(c, apart, noise, dt, out_of_step);
     else
-        memcpy(out_of_step, apart, sizeof(double) * (size_t)count);
+        out_of_step = apart;
     count_far(c, away, apart, out_of_step, unfiltered);
-    const double largest = sqrt(largest_square6(c, out_of_step));
+    const double largest = sqrt(largest_square(out_of_step));
     const double worst = largest - o->noise_margin * noise;
     c->watch->lag_noise = o->noise_margin * noise / sqrt((double)c->arms) + fmax(worst, 0.0); /* see watch_lag() */
     if (worst <= o->slow_from || c->watch->samples < FEW_SAMPLES) return;
     const int arm = most_out_of_step(c, out_of_step, largest);
-    hold_for(seen, OUT_OF_STEP_BY, arm, sqrt(square6(out_of_step + 6 * arm)), 0.0);
+    hold_for(seen, OUT_OF_STEP_BY, arm, out_of_step.col(arm).norm(), 0.0);
     seen->fault = worst >= o->fault_from && c->watch->far_samples >= FAULT_SAMPLES;
     if (!(worst < o->hold_from)) return;
     seen->hold = 0;
@@ -265,12 +249,13 @@ static void remember(Core *c, const double *positions) {
 /* The least of the largest motions that the joints of arm k were commanded to make in as many samples, now or up to LAG ago: one
  * of them is what a late arm should have made. */
 static double least_told(const Core *c, int k, double told) {
-    const int start = (int)c->arm_start[k], end = start + (int)c->arm_size[k], samples = (int)c->options->stall_samples;
+    const auto [start, n] = joints_of(c, k);
+    const int samples = (int)c->options->stall_samples;
     const int late = (int)c->watch->past_count - 1 - samples;
     for (int i = 1; i <= late; i++) {
         const double *from = sample_before(c, samples + i) + c->joints, *to = sample_before(c, i) + c->joints;
         double most = 0.0;
-        for (int j = start; j < end; j++) most = fmax(most, fabs(to[j] - from[j]));
+        for (int j = start; j < start + n; j++) most = fmax(most, fabs(to[j] - from[j]));
         told = fmin(told, most);
     }
     return told;
@@ -279,9 +264,9 @@ static double least_told(const Core *c, int k, double told) {
 /* Largest motions of the joints of arm k since an older sample, as commanded and measured, and what lies between. */
 static void moves_of(const Core *c, int k, const double *positions, const double *before, double *told, double *moved,
                      double *gap) {
-    const int start = (int)c->arm_start[k], end = start + (int)c->arm_size[k];
+    const auto [start, n] = joints_of(c, k);
     double most[3] = {};
-    for (int j = start; j < end; j++) {
+    for (int j = start; j < start + n; j++) {
         double commanded = c->positions[j];
         double size[3] = {fabs(commanded - before[c->joints + j]), fabs(positions[j] - before[j]),
                           fabs(commanded - positions[j])};
@@ -348,34 +333,29 @@ static void watch_stall(Core *c, const double *positions, double dt, int rigid, 
 
 /* -- forces from the servos ---------------------------------------------------------------------------------------- */
 
-/* x of A x = b for a symmetric A (6, 6) of which the lower triangle is read and overwritten by its factors L D Lᵀ; b
- * becomes x. Without a pivot it is not finite. */
-static void solve_symmetric6(double *A, double *b) {
-    for (int j = 0; j < 6; j++) {
+/* x of A x = b for a symmetric A of which the lower triangle is read and overwritten by its factors L D Lᵀ; b becomes x.
+ * Without a pivot it is not finite. */
+static void solve_symmetric6(Matrix6 &A, Ref6 b) {
+    for (int j = 0; j < 6; j++)
         for (int i = j + 1; i < 6; i++) {
-            const double factor = A[6 * i + j] / A[7 * j];
-            for (int m = j + 1; m <= i; m++) A[6 * i + m] -= factor * A[6 * m + j];
+            const double factor = A(i, j) / A(j, j);
+            for (int m = j + 1; m <= i; m++) A(i, m) -= factor * A(m, j);
             b[i] -= factor * b[j];
         }
-    }
     for (int i = 5; i >= 0; i--) {
-        for (int m = i + 1; m < 6; m++) b[i] -= A[6 * m + i] * b[m]; /* columns still carry D */
-        b[i] /= A[7 * i];
+        for (int m = i + 1; m < 6; m++) b[i] -= A(m, i) * b[m]; /* columns still carry D */
+        b[i] /= A(i, i);
     }
 }
 
 /* Compliance C_k of an arm's servos at the object, and how its deflection bends it. */
-static void comply(const Core *c, int k, const double *jacobian, double *C, double *bent) {
-    const int start = (int)c->arm_start[k], end = start + (int)c->arm_size[k];
-    memset(C, 0, 36 * sizeof(double));
-    memset(bent, 0, 6 * sizeof(double));
-    for (int j = start; j < end; j++) {
-        const double *row = jacobian + 6 * j;
-        for (int i = 0; i < 6; i++) {
-            const double soft = c->softness[j] * row[i];
-            for (int m = 0; m < 6; m++) C[6 * i + m] += soft * row[m];
-            bent[i] += c->deflection[j] * row[i];
-        }
+static void comply(const Core *c, int k, const Twists &jacobian, Eigen::Map<Matrix6> C, Ref6 bent) {
+    const auto [start, n] = joints_of(c, k);
+    C.setZero(), bent.setZero();
+    for (int j = start; j < start + n; j++) {
+        const Vector6 column = jacobian.col(j);
+        C += c->softness[j] * column * column.transpose();
+        bent += c->deflection[j] * column;
     }
 }
 
@@ -385,91 +365,75 @@ static int deflect(Core *c, const double *positions, double dt, double *velocity
     const double fresh = dt / (o->filter_time + dt), known = c->watch->has_commanded;
     double fastest = 0.0;
     for (int k = 0; k < c->arms; k++) {
-        const int start = (int)c->arm_start[k], end = start + (int)c->arm_size[k];
-        for (int j = start; j < end; j++) {
+        const auto [start, n] = joints_of(c, k);
+        for (int j = start; j < start + n; j++) {
             velocity[j] = known != 0.0 ? (c->positions[j] - c->commanded[j]) / dt : 0.0;
             const double off = c->positions[j] - positions[j] - o->servo_delay * velocity[j];
             c->deflection[j] += fresh * (off - c->deflection[j]);
             fastest = fabs(velocity[j]) > fastest ? fabs(velocity[j]) : fastest;
         }
     }
-    memcpy(c->commanded, c->positions, sizeof(double) * (size_t)c->joints);
+    c->commanded = c->positions;
     c->watch->has_commanded = 1.0;
     return fastest <= AT_REST;
 }
 
 /* Cosine between the way back that a wrench asks of arm k and its last motion. */
-static double straightness(const Core *c, int k, const double *jacobian, const double *back) {
-    const int start = (int)c->arm_start[k], end = start + (int)c->arm_size[k];
-    double way[6] = {0}, scaled[6];
-    for (int j = start; j < end; j++)
-        for (int i = 0; i < 6; i++) way[i] += c->way[j] * jacobian[6 * j + i];
-    for (int i = 0; i < 6; i++) {
-        const double scale = i < 3 ? 1.0 : TURN_LENGTH;
-        way[i] *= scale;
-        scaled[i] = back[i] * scale;
-    }
-    const double size = sqrt(square6(scaled)) * sqrt(square6(way));
-    return (dot3(scaled, way) + dot3(scaled + 3, way + 3)) / fmax(size, 1e-300);
+static double straightness(const Core *c, int k, const Twists &jacobian, const Vector6 &back) {
+    const auto [start, n] = joints_of(c, k);
+    Vector6 way = jacobian.middleCols(start, n).lazyProduct(c->way.segment(start, n)), scaled = back;
+    way.tail<3>() *= TURN_LENGTH, scaled.tail<3>() *= TURN_LENGTH;
+    return scaled.dot(way) / fmax(scaled.norm() * way.norm(), 1e-300);
 }
 
 /* At rest, the arm that the total wrench puts straight back along its way does not follow its command. */
-static void find_behind(Core *c, const double *jacobian, const double *C, const double *wrenches, double largest) {
+static void find_behind(Core *c, const Twists &jacobian, const double *C, const Twists &wrenches, double largest) {
     Watch *w = c->watch;
-    double total[6] = {0}, straightest = STRAIGHT_BACK;
-    for (int k = 0; k < c->arms; k++)
-        for (int i = 0; i < 6; i++) total[i] += wrenches[6 * k + i];
-    if (!(sqrt(dot3(total, total)) > UNBALANCED * largest)) return;
+    double straightest = STRAIGHT_BACK;
+    const Vector6 total = (double)c->arms * mean_of(wrenches);
+    if (!(total.head<3>().norm() > UNBALANCED * largest)) return;
     for (int k = 0; k < c->arms; k++) {
-        double back[6] = {};
-        for (int i = 0; i < 6; i++)
-            for (int m = 0; m < 6; m++) back[i] += C[36 * k + 6 * i + m] * total[m];
+        const Vector6 back = Eigen::Map<const Matrix6>(C + 36 * k) * total;
         const double straight = straightness(c, k, jacobian, back);
         if (!(straight > straightest)) continue;
         straightest = straight;
         w->behind = k;
-        w->gap = sqrt(dot3(back, back));
-        double others[3];
-        for (int i = 0; i < 3; i++) others[i] = total[i] - wrenches[6 * k + i];
-        w->pull = sqrt(dot3(others, others));
+        w->gap = back.norm();
+        w->pull = (total - wrenches.col(k)).head<3>().norm();
     }
 }
 
 /* Jacobians about the object as arm 0 carries it at the measured positions. */
-static void linearise_measured(const Core *c, const double *positions, double *carried, double *jacobian) {
-    const double *near = c->carried + 9; /* any point would do: nearby ones lose no digits */
+static void linearise_measured(const Core *c, const double *positions, Pose *carried, Twists &jacobian) {
+    const Vector3 &near = c->carried[0].p; /* any point would do: nearby ones lose no digits */
     carry_and_linearise(c, positions, near, carried, jacobian);
-    const double shift[3] = {carried[9] - near[0], carried[10] - near[1], carried[11] - near[2]};
-    for (int j = 0; j < c->joints; j++) {
-        double *row = jacobian + 6 * j, turned[3];
-        cross(row + 3, shift, turned);
-        for (int i = 0; i < 3; i++) row[i] += turned[i];
-    }
+    const Vector3 shift = carried[0].p - near;
+    for (int j = 0; j < c->joints; j++) jacobian.col(j) = twist_at(jacobian.col(j), shift);
 }
 
 /* Read the force at each grasp, and the arm that lags. Returns the arm with the largest force. */
 static int read_forces(Core *c, const double *positions, double dt) {
     const int n = c->arms, nv = c->joints;
-    double *carried = c->scratch, *C = carried + 12 * n, *wrenches = C + 36 * n;
+    double *C = c->scratch + 12 * n, *velocity = C + 42 * n + 6 * nv;
     Watch *w = c->watch;
-    double *jacobian = wrenches + 6 * n, *velocity = jacobian + 6 * nv;
+    Twists wrenches(C + 36 * n, 6, n), jacobian(C + 42 * n, 6, nv);
     const int rests = deflect(c, positions, dt, velocity);
-    linearise_measured(c, positions, carried, jacobian);
+    linearise_measured(c, positions, reinterpret_cast<Pose *>(c->scratch), jacobian);
     int most = 0;
     for (int k = 0; k < n; k++) {
-        double factored[36];
-        comply(c, k, jacobian, C + 36 * k, wrenches + 6 * k);
-        memcpy(factored, C + 36 * k, sizeof factored);
-        for (int i = 0; i < 6; i++) factored[7 * i] += STRUCTURE;
-        solve_symmetric6(factored, wrenches + 6 * k);
-        c->forces[k] = sqrt(dot3(wrenches + 6 * k, wrenches + 6 * k));
+        Eigen::Map<Matrix6> own(C + 36 * k);
+        comply(c, k, jacobian, own, wrenches.col(k));
+        Matrix6 factored = own;
+        factored.diagonal().array() += STRUCTURE;
+        solve_symmetric6(factored, wrenches.col(k));
+        c->forces[k] = wrenches.col(k).head<3>().norm();
         if (larger(c->forces[most], c->forces[k]) != c->forces[most]) most = k;
     }
     w->behind = -1.0;
     if (!rests) {
         for (int k = 0; k < n; k++) {
-            const int start = (int)c->arm_start[k];
-            memcpy(c->way + start, velocity + start, sizeof(double) * (size_t)c->arm_size[k]);
+            const auto [start, size] = joints_of(c, k);
+            memcpy(c->way + start, velocity + start, sizeof(double) * (size_t)size);
         }
         w->rest = 0.0;
         return most;
@@ -506,17 +470,16 @@ static void watch_forces(Core *c, const double *positions, double dt, Seen *seen
 }
 
 /* Of arms that mind forces; see residual.cpp. */
-static void add_shift(const Core *c, double *away);
-static void watch_servos(Core *c, const double *away, double dt, Seen *seen);
+static void add_shift(const Core *c, Twists &away);
+static void watch_servos(Core *c, const Twists &away, double dt, Seen *seen);
 static void watch_lag(Core *c, double dt, Seen *seen);
 
 /* -- one sample ---------------------------------------------------------------------------------------------------- */
 
-static int all_finite(const Core *c, const double *positions, const double *away, double dt) {
+static int all_finite(const Core *c, const double *positions, const Twists &away, double dt) {
     int finite = dt > 0.0 && dt <= DBL_MAX;
     for (int j = 0; j < c->joints; j++) finite &= fabs(positions[j] - c->positions[j]) <= DBL_MAX;
-    for (int i = 0; i < 6 * c->arms; i++) finite &= fabs(away[i]) <= DBL_MAX;
-    return finite;
+    return finite && away.allFinite();
 }
 
 /* A slowed object is let go at such a pace that it takes a while from rest. */
@@ -538,16 +501,16 @@ static void fall_gently(const Core *c, double dt, Seen *seen) {
     seen->cap = least, seen->hold = 0;
 }
 
-static void watch_sample(Core *c, const double *positions, const double *q, const double *away, double dt) {
+static void watch_sample(Core *c, const double *positions, const double *q, const Twists &away, double dt) {
     const Options *o = c->options;
     const int minds = c->arms > 1 && c->minding && c->minding->rigid != 0.0;
     Proposal *out = c->proposal;
-    double *moved = c->measured_moved;
+    Twists &moved = c->measured_moved;
     Seen seen;
     if (!all_finite(c, positions, away, dt)) {
         hold_for(&seen, NOT_FINITE, -1, 0.0, 0.0);
     } else {
-        memcpy(moved, away, sizeof(double) * 6 * (size_t)c->arms);
+        moved = away;
         if (minds) add_shift(c, moved);
         if (c->arms > 1 && o->slow_from >= 0.0) watch_distances(c, q, moved, dt, minds, &seen);
         if (minds) fall_gently(c, dt, &seen);
@@ -566,19 +529,12 @@ static void watch_sample(Core *c, const double *positions, const double *q, cons
 }
 
 static void watch_reset(Core *c) {
-    const size_t arms = sizeof(double) * (size_t)c->arms, joints = sizeof(double) * (size_t)c->joints;
-    double *of_arms[] = {c->noise, c->stalled, c->widest, c->lost, c->forces, c->slow_forces};
-    double *of_distances[] = {c->deviation, c->away, c->away_step, c->slow_drift, c->lag, c->apart};
     *c->watch = Watch{};
     c->watch->watch_rate = 1.0;
     c->watch->watch_arm = c->watch->behind = -1.0;
     c->watch->var_lag = LAG * LAG;
-    for (size_t i = 0; i < sizeof of_arms / sizeof *of_arms; i++) memset(of_arms[i], 0, arms);
-    for (size_t i = 0; i < sizeof of_distances / sizeof *of_distances; i++) memset(of_distances[i], 0, 6 * arms);
-    memset(c->told_velocity, 0, joints);
-    memset(c->lag_base, 0, 6 * sizeof(double));
-    memset(c->lag_told, 0, 6 * sizeof(double));
-    memset(c->lag_way, 0, 6 * sizeof(double));
-    memset(c->deflection, 0, joints);
-    memset(c->way, 0, joints);
+    for (Vector *x : {&c->noise, &c->stalled, &c->widest, &c->lost, &c->forces, &c->slow_forces}) x->setZero();
+    for (Twists *x : {&c->deviation, &c->away, &c->away_step, &c->slow_drift, &c->lag, &c->apart}) x->setZero();
+    for (Twist *x : {&c->lag_base, &c->lag_told, &c->lag_way}) x->setZero();
+    for (Vector *x : {&c->told_velocity, &c->deflection, &c->way}) x->setZero();
 }

@@ -46,7 +46,7 @@ _NOT_FINITE, _PATH_FAILED, _LOOK_AHEAD_FAILED, _CONSTRAINT_FAILED = (
 )
 #: Fields that the definition answers from.
 _GIVEN = (
-    "R", "p", "positions", "velocity", "before", "predicted", "foreseen", "asked_shift", "along", "measured",
+    "pose", "positions", "velocity", "before", "predicted", "foreseen", "asked_shift", "along", "measured",
     "null_along", "null_offset",
 )  # fmt: skip
 _QP, _FILLED, _OPEN, _ASK = (layout.OUTCOMES.index(name) for name in ("QP", "FILLED", "OPEN", "ASK"))
@@ -158,7 +158,7 @@ class CompiledLoop:
     @property
     def reference(self) -> pin.SE3:
         """Where the last step has asked for the object."""
-        return pin.SE3(self.at["R"].reshape(3, 3), self.at["p"])
+        return _pose_of(self.at["pose"])
 
     def take_minding(self, memory: Array, tell: Callable[[ControlStep], None]) -> Callable[..., Any] | None:
         """The core's step with wrenches: see :meth:`coopqp.QPController.take_minding`."""
@@ -462,7 +462,7 @@ class CompiledLoop:
         p, loop = self._proposal, self._loop
         at = {name: self.at[name].copy() for name in _GIVEN}
         predicted, foreseen, asked = (at[name].reshape(-1, 6) for name in ("predicted", "foreseen", "asked_shift"))
-        known, pose = bool(loop.has_predicted), pin.SE3(at["R"].reshape(3, 3), at["p"])
+        known, pose = bool(loop.has_predicted), _pose_of(at["pose"])
         carried = self._chain.carried(self.q)
         return StepInput(
             q=self.q, positions=at["positions"], carried=carried, errors=self._chain.errors(carried, pose),
@@ -477,3 +477,8 @@ class CompiledLoop:
 def _numbers_of(pose: pin.SE3) -> Array:
     """R (9), p (3)."""
     return np.concatenate([pose.rotation.ravel(), pose.translation])
+
+
+def _pose_of(numbers: Array) -> pin.SE3:
+    """The reverse."""
+    return pin.SE3(numbers[:9].reshape(3, 3), numbers[9:])

@@ -121,12 +121,12 @@ def _put_links(chain: Chain, at: dict[str, Array]) -> None:
     """Placement of each joint in the one before, of the object on each arm's last joint, and of the tool there."""
     cell = chain.cell
     at["link_R"][:], at["link_p"][:], at["prismatic"][:], aligned = _links_of(cell)
-    object_R, object_p, tool_p = (at[name].reshape(len(cell), -1) for name in ("object_R", "object_p", "tool_p"))
+    held, tool_p = at["object"].reshape(len(cell), 12), at["tool_p"].reshape(len(cell), 3)
     for k, turned in enumerate(aligned):
         Y = cell.T_joint_tool[k] * chain.grasp.T_object_tool[k].inverse()
-        object_R[k], object_p[k] = (turned.T @ Y.rotation).ravel(), turned.T @ Y.translation
+        held[k] = [*(turned.T @ Y.rotation).ravel(), *(turned.T @ Y.translation)]
         tool_p[k] = turned.T @ cell.T_joint_tool[k].translation
-    at["places"][:] = np.hstack([object_R, object_p]).ravel()  # of the object without a shift
+    at["places"][:] = at["object"]  # of the object without a shift
 
 
 @of_cell
