@@ -10,6 +10,8 @@
 
 #include <string.h>
 
+#include <utility>
+
 #include "frames.h"
 
 #define PER_JOINT 14
@@ -23,8 +25,7 @@
 #define UNROLL
 #endif
 
-/* Numbers of the joints of an arm, and columns of them; they need no heap. */
-using ArmVector = Eigen::Matrix<double, Eigen::Dynamic, 1, 0, MOST_JOINTS, 1>;
+/* Numbers of the joints of an arm, and columns of them, which need no heap. */
 using ArmColumns = Eigen::Matrix<double, 6, Eigen::Dynamic, 0, 6, MOST_JOINTS>;
 using OfJoints = Eigen::Map<Eigen::VectorXd>;
 
@@ -143,30 +144,71 @@ static ArmColumns jacobian_slopes(const ArmColumns &J, const double *slope) {
     return out;
 }
 
+/* Triangular factors of Jᵀ (6, 6), its rows in an order of largest pivots. */
+class Elimination {
+public:
+    explicit Elimination(const ArmColumns &J) : A(J.transpose()) {
+        for (int k = 0; k < 6; k++) order[k] = k;
+        for (int k = 0; k < 6; k++) {
+            int pivot = k;
+            for (int i = k + 1; i < 6; i++)
+                if (fabs(A(i, k)) > fabs(A(pivot, k))) pivot = i;
+            if (pivot != k) A.row(k).swap(A.row(pivot)), std::swap(order[k], order[pivot]);
+            negative ^= (pivot != k) ^ (A(k, k) < 0.0);
+            for (int i = k + 1; i < 6; i++) {
+                const double f = A(i, k) /= A(k, k);
+                for (int j = k + 1; j < 6; j++) A(i, j) -= f * A(k, j);
+            }
+        }
+    }
+    /* x with J x = V */
+    void solve(const Vector6 &V, double *x) const {
+        Vector6 y = V;
+        for (int k = 0; k < 6; k++) {
+            for (int i = 0; i < k; i++) y[k] -= A(i, k) * y[i];
+            y[k] /= A(k, k);
+        }
+        for (int k = 5; k >= 0; k--) {
+            for (int i = k + 1; i < 6; i++) y[k] -= A(i, k) * y[i];
+            x[order[k]] = y[k];
+        }
+    }
+    /* Whether det J is negative. */
+    bool negative = false;
+
+private:
+    Matrix6 A;
+    int order[6];
+};
+
 /* q′ and q″ of an arm of six joints or more, for the tool's twist V and its slope: see batch_plain.py. */
 static void derivatives(const Arm &a, const double *q, const Vector6 &V, const Vector6 &dV, double *slope, double *curvature) {
     ArmColumns J;
-    OfJoints first(slope, a.joints), second(curvature, a.joints);
+    Vector6 rest = dV;
     place(a, q, J);
     if (a.joints == 6) {
-        const Eigen::PartialPivLU<Eigen::Matrix<double, 6, 6>> A(J);
-        first = A.solve(V);
-        second = A.solve(dV - jacobian_slopes(J, slope).lazyProduct(first));
+        const Elimination factors(J);
+        factors.solve(V, slope);
+        const ArmColumns slopes = jacobian_slopes(J, slope);
+        for (int j = 0; j < 6; j++) rest -= slope[j] * slopes.col(j);
+        factors.solve(rest, curvature);
         return;
     }
     Factors G;
+    double turn[MOST_JOINTS];
     if (!G.of(a, J, 0.0)) {
-        first.setConstant(NAN), second.setConstant(NAN);
+        OfJoints(slope, a.joints).setConstant(NAN), OfJoints(curvature, a.joints).setConstant(NAN);
         return;
     }
-    ArmVector W(a.joints);
-    for (int j = 0; j < a.joints; j++) W[j] = a.weight(j);
     const Vector6 y = G.solve(V);
-    first = W.cwiseProduct(J.transpose().lazyProduct(y));
+    for (int j = 0; j < a.joints; j++) slope[j] = a.weight(j) * J.col(j).dot(y);
     const ArmColumns slopes = jacobian_slopes(J, slope);
-    const ArmVector turn = W.cwiseProduct(slopes.transpose().lazyProduct(y));
-    const Vector6 dy = G.solve(dV - slopes.lazyProduct(first) - J.lazyProduct(turn));
-    second = turn + W.cwiseProduct(J.transpose().lazyProduct(dy));
+    for (int j = 0; j < a.joints; j++) {
+        turn[j] = a.weight(j) * slopes.col(j).dot(y);
+        rest -= slope[j] * slopes.col(j) + turn[j] * J.col(j);
+    }
+    const Vector6 dy = G.solve(rest);
+    for (int j = 0; j < a.joints; j++) curvature[j] = turn[j] + a.weight(j) * J.col(j).dot(dy);
 }
 
 /* -- along poses ----------------------------------------------------------------------------------------------------- */
@@ -176,7 +218,7 @@ static bool mirrored(const Arm &a, const double *q) {
     ArmColumns J;
     if (a.joints != 6) return false;
     place(a, q, J);
-    return Eigen::PartialPivLU<Eigen::Matrix<double, 6, 6>>(J).determinant() < 0.0;
+    return Elimination(J).negative;
 }
 
 /* Halfway between two poses: along the line, about one axis. */

@@ -2,8 +2,6 @@
  * along a way; singular values of many matrices (values.cpp). See arm.h for the layout of the numbers; batch_plain.py
  * says the same in NumPy. */
 
-#include <Eigen/LU>
-
 #include "arm.h"
 #include "arrays.h"
 #include "values.h"
