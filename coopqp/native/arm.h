@@ -242,4 +242,17 @@ static bool step_to(const Arm &a, const Pose &from, const Pose &to, double *q, d
            step_to(a, between, to, q, tolerance, longest, halvings - 1);
 }
 
+/* From the first of q (poses, joints) along the poses as far as it goes; the rest stays there. The last pose reached. */
+static Eigen::Index walk(const Arm &a, const Pose *path, Eigen::Index poses, double *q, double tolerance, double longest,
+                         int halvings) {
+    Eigen::Map<Eigen::MatrixXd> way(q, a.joints, poses);
+    Eigen::Index k = 1;
+    for (; k < poses; k++) {
+        way.col(k) = way.col(k - 1);
+        if (!step_to(a, path[k - 1], path[k], way.col(k).data(), tolerance, longest, halvings)) break;
+    }
+    for (Eigen::Index rest = k; rest < poses; rest++) way.col(rest) = way.col(rest - 1);
+    return k - 1;
+}
+
 #endif

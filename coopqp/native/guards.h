@@ -5,55 +5,24 @@
 #define COOPQP_GUARDS_H
 
 #if defined(__SANITIZE_ADDRESS__)
-#define GUARDED 1
+#define GUARDED
 #elif defined(__has_feature)
 #if __has_feature(address_sanitizer)
-#define GUARDED 1
+#define GUARDED
 #endif
 #endif
 
 #ifdef GUARDED
 #include <sanitizer/asan_interface.h>
-
 #define GAP 4 /* numbers after each field */
-
-static const Arithmetic *unguarded(const Core *c);
-static void guard(const Core *c, bool closed);
 
 static inline void guard_gap(const double *gap, bool closed) {
     if (closed) ASAN_POISON_MEMORY_REGION(gap, GAP * sizeof(double));
     else ASAN_UNPOISON_MEMORY_REGION(gap, GAP * sizeof(double));
 }
-
-/* A call of the arithmetic, with the gaps closed as long as it lasts. */
-template <auto CALL, typename R, typename C, typename... Args>
-R guarded_call(C *c, Args... args) {
-    struct Closed {
-        const Core *core;
-        explicit Closed(const Core *one) : core(one) { guard(core, true); }
-        ~Closed() { guard(core, false); }
-    } closed(c);
-    return (unguarded(c)->*CALL)(c, args...);
-}
-
-template <auto CALL, typename R, typename C, typename... Args>
-void guard_call(Arithmetic &calls, R (*Arithmetic::*)(C *, Args...)) {
-    calls.*CALL = guarded_call<CALL, R, C, Args...>;
-}
-
-/* The same calls, guarded. */
-static const Arithmetic *guarded(const Arithmetic *can) {
-    static Arithmetic calls;
-    calls = *can;
-#define GUARD(name) guard_call<&Arithmetic::name>(calls, &Arithmetic::name);
-    GUARD(start) GUARD(start_path) GUARD(observe) GUARD(propose) GUARD(answer)
-    GUARD(commit) GUARD(read) GUARD(quiet) GUARD(linearise) GUARD(go_over)
-    GUARD(settle_step) GUARD(move_grasp) GUARD(mind) GUARD(minded)
-    return &calls;
-}
 #else
 #define GAP 0
-#define guard(c, closed) ((void)(c))
+static inline void guard_gap(const double *, bool) {}
 #endif
 
 #endif

@@ -62,20 +62,10 @@ static void derivatives_all(const In &arm, const In &q, const In &twists, const 
 static void singular_values_all(const In &matrices, int rows, int columns, Out &found) {
     const int width = rows < columns ? rows : columns, length = rows < columns ? columns : rows;
     check_fit(width >= 1 && width <= MOST_VALUES && length <= MOST_ROWS);
-    const Py_ssize_t count = found.size / width, size = (Py_ssize_t)rows * columns;
-    check_fit(found.size == width * count && matrices.size == size * count);
-    SingularValues *find = fastest();
+    const Py_ssize_t count = found.size / width;
+    check_fit(found.size == width * count && matrices.size == rows * columns * count);
     nb::gil_scoped_release released;
-    for (Py_ssize_t i = 0; i < count; i += LANES) {
-        double spare[MOST_VALUES * LANES], *values[LANES];
-        const double *A[LANES];
-        for (int l = 0; l < LANES; l++) {
-            const int inside = i + l < count; /* lanes past the last matrix do it once more */
-            A[l] = matrices.data + (inside ? i + l : count - 1) * size;
-            values[l] = inside ? found.data + (i + l) * width : spare + MOST_VALUES * l;
-        }
-        find(A, rows, columns, values);
-    }
+    fastest()(matrices.data, count, rows, columns, found.data);
 }
 
 /* walk(arm, poses, q, reached, tolerance, longest, halvings) */
@@ -85,18 +75,8 @@ static void walk_all(const In &arm, const In &path, Out &walked, Out &reached, d
     const Py_ssize_t poses = path.size / 12, count = reached.size, n = a.joints;
     check_fit(path.size == 12 * poses && poses > 0 && walked.size == count * poses * n);
     nb::gil_scoped_release released;
-    for (Py_ssize_t i = 0; i < count; i++) {
-        double *q = walked.data + i * poses * n;
-        const size_t size = sizeof(double) * (size_t)n;
-        Py_ssize_t k = 1;
-        for (; k < poses; k++, q += n) {
-            memcpy(q + n, q, size);
-            const Pose *from = poses_in(path) + k - 1;
-            if (!step_to(a, from[0], from[1], q + n, tolerance, longest, halvings)) break;
-        }
-        reached.data[i] = (double)(k - 1);
-        for (; k < poses; k++, q += n) memcpy(q + n, q, size);
-    }
+    for (Py_ssize_t i = 0; i < count; i++)
+        reached.data[i] = (double)walk(a, poses_in(path), poses, walked.data + i * poses * n, tolerance, longest, halvings);
 }
 
 void bind_kinematics(nb::module_ &m) {

@@ -40,24 +40,30 @@ struct BoundCore : Core {
     int entered = 0;             /* how often it has entered and not left */
     bool handed = false;         /* a step is left open: the next entry is the same one's */
     std::optional<nb::python_error> interrupt; /* until the call ends */
-#ifdef GUARDED
-    const Arithmetic *unguarded = nullptr;
-#endif
 
-    
+    /* The gaps after fields are closed to everybody, or open. */
+    void guard(bool closed) const {
+        for (size_t i = 0; GAP && i < fields.size(); i++) guard_gap(memory + fields[i].begin + fields[i].size, closed);
+    }
+
+    /* A call of the arithmetic, with the gaps closed as long as it lasts. */
+    template <auto CALL, typename... Args>
+    auto run(Args &&...args) {
+        const Guard closed(this);
+        return (can->*CALL)(this, std::forward<Args>(args)...);
+    }
+
+private:
+    struct Guard {
+        const BoundCore *core;
+        explicit Guard(const BoundCore *one) : core(one) { core->guard(true); }
+        ~Guard() { core->guard(false); }
+    };
 };
 
 using Maybe = std::optional<nb::object>; /* None, too */
 
-static BoundCore *bound(const Core *c) { return static_cast<BoundCore *>(const_cast<Core *>(c)); }
-
-#ifdef GUARDED
-static const Arithmetic *unguarded(const Core *c) { return bound(c)->unguarded; }
-
-static void guard(const Core *c, bool closed) {
-    for (const Field &field : bound(c)->fields) guard_gap(bound(c)->memory + field.begin + field.size, closed);
-}
-#endif
+static BoundCore *bound(Core *c) { return static_cast<BoundCore *>(c); }
 
 static long ask_constraints(Core *c, Question question);
 
@@ -129,9 +135,6 @@ static void build(BoundCore *self, const In &arm_start, const In &arm_size, cons
     }
     self->duration = 1.0, self->path_numbers = nowhere, self->ask = ask_constraints;
     self->can = plain_arithmetic ? &plain::arithmetic : best();
-#ifdef GUARDED
-    self->unguarded = self->can, self->can = guarded(self->can);
-#endif
 }
 
 /* Functions of the loop that owns the Core make a cycle, which the collector has to see. */
@@ -176,9 +179,9 @@ static long asked(BoundCore *self, int which, bool yes_or_no, Args... args) {
 /* The same of a function that fills in the memory: whether it succeeded. */
 template <typename... Args>
 static int filled_in(Core *c, int which, Args... args) {
-    guard(c, false);
+    bound(c)->guard(false);
     const int good = asked(bound(c), which, true, args...) > 0;
-    guard(c, true);
+    bound(c)->guard(true);
     return good;
 }
 
@@ -190,25 +193,12 @@ static void raise_interrupt(BoundCore *self) {
     throw error;
 }
 
-static int ask_path(Core *c, double clock, int twist) { return filled_in(c, OWN_PATH, clock, twist); }
-
-static int ask_knot(Core *c, int slot) {
-    c->knot_asked = 1;
-    return filled_in(c, BOUND_KNOT, slot);
-}
-static int ask_evasion(Core *c) { return filled_in(c, EVADE); }
-static int ask_survey(Core *c) {
-    const int good = filled_in(c, SURVEY_AHEAD);
-    c->surveyed |= good;
-    return good;
-}
-
 static long ask_constraints(Core *c, Question question) {
-    guard(c, false);
     const bool looks = question == ASK_CLEAR || question == ASK_ROWS;
     const int which = CLEAR + (question - ASK_CLEAR);
+    bound(c)->guard(false);
     const long found = looks ? asked(bound(c), which, false, c->looks_ahead == 0) : asked(bound(c), which, false);
-    guard(c, true);
+    bound(c)->guard(true);
     return found;
 }
 
@@ -224,10 +214,14 @@ static void bind(BoundCore &self, const nb::kwargs &given) {
     const bool good = !type || (PyType_Check(type.ptr()) && nb::isinstance<nb::tuple>(names) && nb::len(names) > OFF_PATH);
     if (!good) type.reset();
     check_fit(good, "a step has a type, and a status of each code");
-    self.own_path = self.objects[OWN_PATH] ? ask_path : nullptr;
-    self.bound_knot = self.objects[BOUND_KNOT] ? ask_knot : nullptr;
-    self.evade = self.objects[EVADE] ? ask_evasion : nullptr;
-    self.survey_ahead = self.objects[SURVEY_AHEAD] ? ask_survey : nullptr;
+    const auto where = [&self](Held held, auto call) { return self.objects[held] ? call : nullptr; };
+    self.own_path = where(OWN_PATH, +[](Core *c, double clock, int twist) { return filled_in(c, OWN_PATH, clock, twist); });
+    self.evade = where(EVADE, +[](Core *c) { return filled_in(c, EVADE); });
+    self.bound_knot = where(BOUND_KNOT, +[](Core *c, int slot) { return c->knot_asked = 1, filled_in(c, BOUND_KNOT, slot); });
+    self.survey_ahead = where(SURVEY_AHEAD, +[](Core *c) {
+        const int done = filled_in(c, SURVEY_AHEAD);
+        return c->surveyed |= done, done;
+    });
 }
 
 /* set_path(numbers, duration, looks_ahead, users): own_path is bound before where the numbers say little. */
@@ -250,7 +244,7 @@ static void observe(BoundCore &self, const InOrNone &q, const Maybe &dt) {
     double length = NAN;
     check_fit(!q.data || q.size == self.nq, "expected an array of float64 of the right length");
     if (dt && !nb::try_cast(*dt, length)) length = NAN;
-    self.can->observe(&self, q.data, dt ? &length : nullptr);
+    self.run<&Arithmetic::observe>(q.data, dt ? &length : nullptr);
     raise_interrupt(&self);
 }
 
@@ -264,7 +258,7 @@ static void set_past_class(nb::handle object, PyObject *name, nb::handle value) 
 
 /* Move on, and make a ControlStep from the record; its numbers as bytes where there is no such class. */
 static nb::object commit(BoundCore &self) {
-    const Status status = self.can->commit(&self);
+    const Status status = self.run<&Arithmetic::commit>();
     const int vectors = 2 * self.nq + self.joints + 6 + 4 * (int)self.record->bindings;
     nb::bytes record(static_cast<const void *>(self.record), sizeof(Record) + (size_t)vectors * sizeof(double));
     nb::handle type = self.objects[STEP_TYPE];
@@ -306,7 +300,7 @@ struct Stepping {
 
 /* The step for the observed sample. None if the answer is left open: then a call that finishes it has to follow. */
 static nb::object command(BoundCore &self) {
-    const Outcome outcome = self.can->settle_step(&self);
+    const Outcome outcome = self.run<&Arithmetic::settle_step>();
     raise_interrupt(&self);
     if (outcome < FILLED) return commit(self);
     self.handed = true;
@@ -322,7 +316,7 @@ static nb::object step(BoundCore &self, const InOrNone &q, const Maybe &dt) {
 static int propose(BoundCore &self, long rows, bool again) {
     check_fit(rows >= 0 && rows <= most_given(&self), "there is no room for so many rows");
     self.given_rows = (int)rows;
-    const Outcome outcome = again ? self.can->answer(&self) : self.can->propose(&self);
+    const Outcome outcome = again ? self.run<&Arithmetic::answer>() : self.run<&Arithmetic::propose>();
     raise_interrupt(&self);
     return outcome;
 }
@@ -332,10 +326,10 @@ static Py_ssize_t advance(BoundCore &self, Py_ssize_t steps, const InOrNone &q) 
     Py_ssize_t done = 0;
     check_fit(!q.data || q.size == self.nq);
     for (; done < steps; done++) {
-        self.can->observe(&self, q.data, nullptr);
-        if (self.can->propose(&self) >= FILLED || self.interrupt) break;
-        if (self.options->certified != 0.0 && !self.can->quiet(&self)) break;
-        self.can->commit(&self);
+        self.run<&Arithmetic::observe>(q.data, nullptr);
+        if (self.run<&Arithmetic::propose>() >= FILLED || self.interrupt) break;
+        if (self.options->certified != 0.0 && !self.run<&Arithmetic::quiet>()) break;
+        self.run<&Arithmetic::commit>();
     }
     raise_interrupt(&self);
     return done;
@@ -343,11 +337,11 @@ static Py_ssize_t advance(BoundCore &self, Py_ssize_t steps, const InOrNone &q) 
 
 static void start(BoundCore &self, const In &positions) {
     check_fit(positions.size == self.joints);
-    self.can->start(&self, positions.data);
+    self.run<&Arithmetic::start>(positions.data);
 }
 
 static void start_path(BoundCore &self, double clock, double rate) {
-    self.can->start_path(&self, clock, rate);
+    self.run<&Arithmetic::start_path>(clock, rate);
     raise_interrupt(&self);
 }
 
@@ -355,7 +349,7 @@ static void start_path(BoundCore &self, double clock, double rate) {
 static int go_over(BoundCore &self, const In &goal, Out &numbers, double speed, double spin, double full) {
     check_fit(goal.size == 12 && numbers.size == 4 + SEGMENT);
     const double *present = self.path_numbers;
-    const int found = self.can->go_over(&self, goal.data, speed, spin, full, numbers.data);
+    const int found = self.run<&Arithmetic::go_over>(goal.data, speed, spin, full, numbers.data);
     if (found > 0)
         self.way_array = std::move(numbers);
     else
@@ -369,14 +363,14 @@ static void linearise(BoundCore &self, const In &positions, const In &about, Out
     check_fit(positions.size == self.joints && about.size == 3 && carried.size == 12 * self.arms &&
                   jacobian.size == 6 * self.joints,
               "expected arrays of the right length");
-    self.can->linearise(&self, positions.data, Eigen::Map<const Vector3>(about.data),
-                        reinterpret_cast<Pose *>(carried.data), jacobian.data);
+    self.run<&Arithmetic::linearise>(positions.data, Vector3(Eigen::Map<const Vector3>(about.data)),
+                                     reinterpret_cast<Pose *>(carried.data), jacobian.data);
 }
 
 /* Each tool has moved by exp of its shift (6 numbers an arm) from its place, in the object frame. False if one is not finite. */
 static bool shift_grasp(BoundCore &self, const In &shift) {
     check_fit(shift.size == 6 * self.arms);
-    return self.can->move_grasp(&self, shift.data) != 0;
+    return self.run<&Arithmetic::move_grasp>(shift.data) != 0;
 }
 
 /* -- steps with wrenches: they are checked and taken, then the step follows ------------------------------------------- */
@@ -413,11 +407,11 @@ static nb::object step_minding(BoundCore &self, nb::handle memory, const InOrNon
     double length = NAN;
     check_fit(!q.data || q.size == self.nq);
     if (dt && !nb::try_cast(*dt, length)) length = NAN;
-    self.can->mind(&self, felt, length);
+    self.run<&Arithmetic::mind>(felt, length);
     observe(self, q, dt);
     nb::object made = command(self);
     if (self.handed) return made;
-    self.can->minded(&self);
+    self.run<&Arithmetic::minded>();
     if (m->why != NOTHING_MORE) self.objects[TELL](made);
     return made;
 }
@@ -463,7 +457,7 @@ void bind_step(nb::module_ &m) {
              [](BoundCore &self) { return self.stepper && self.stepper != PyThread_get_thread_ident(); })
         .def("observe", observe)
         .def("propose", propose)
-        .def("read", [](BoundCore &self, double cap) { return self.can->read(&self, cap) != 0; })
+        .def("read", [](BoundCore &self, double cap) { return self.run<&Arithmetic::read>(cap) != 0; })
         .def("commit", commit)
         .def("advance", advance)
         .def("start", start)

@@ -74,7 +74,7 @@ static void longest_first(const double *A, int rows, int columns, int lane, Lane
         for (int i = order[k], j = 0; j < length; j++) vectors[length * k + j][lane] = A[next * i + along * j];
 }
 
-void singular_values(const double *const A[LANES], int rows, int columns, double *const values[LANES]) {
+static void of_lanes(const double *const A[LANES], int rows, int columns, double *const values[LANES]) {
     const int wide = rows < columns, count = wide ? rows : columns, length = wide ? columns : rows;
     Lanes vectors[MOST_VALUES * MOST_ROWS], squares[MOST_VALUES], going, askew;
     double any = 1.0; /* whether vectors were far from right angles; if not, the values' errors are of ACROSS's square */
@@ -91,6 +91,20 @@ void singular_values(const double *const A[LANES], int rows, int columns, double
     for (int i = 0; i < count; i++) squares_of(vectors + length * i, length, squares[i]);
     for (int l = 0; l < LANES; l++)
         for (int i = 0; i < count; i++) insert(values[l], i, sqrt(squares[i][l]));
+}
+
+void singular_values(const double *matrices, ptrdiff_t count, int rows, int columns, double *found) {
+    const int width = rows < columns ? rows : columns;
+    for (ptrdiff_t i = 0; i < count; i += LANES) {
+        double spare[MOST_VALUES * LANES], *values[LANES];
+        const double *A[LANES];
+        for (int l = 0; l < LANES; l++) {
+            const bool inside = i + l < count; /* lanes past the last matrix do it once more */
+            A[l] = matrices + (inside ? i + l : count - 1) * rows * columns;
+            values[l] = inside ? found + (i + l) * width : spare + MOST_VALUES * l;
+        }
+        of_lanes(A, rows, columns, values);
+    }
 }
 
 }  // namespace BUILD

@@ -1,13 +1,16 @@
-/* Singular values of several matrices at once. */
+/* Singular values of many matrices. */
 
 #ifndef COOPQP_VALUES_H
 #define COOPQP_VALUES_H
 
-#define LANES 8       /* matrices */
+#include <stddef.h>
+
+#define LANES 8       /* matrices at once */
 #define MOST_VALUES 6 /* of a matrix */
 #define MOST_ROWS 64  /* or columns, of which there are more */
 
-using SingularValues = void(const double *const A[LANES], int rows, int columns, double *const values[LANES]);
+/* Those of `count` matrices, one after the other. */
+using SingularValues = void(const double *matrices, ptrdiff_t count, int rows, int columns, double *values);
 
 namespace plain {
 SingularValues singular_values;
