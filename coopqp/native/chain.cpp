@@ -130,11 +130,10 @@ static double arm_velocities(const double *jacobian, const double *scale, int n,
         for (int j = 0; j < 6; j++) v0[j] = A[j][3][0], v1[j] = A[j][3][1];
         return least;
     }
-    using Wish = Eigen::Map<const Eigen::VectorXd>;
-    const ArmVector squares = Wish(scale, n).cwiseAbs2();
+    const ArmVector squares = Given(scale, n).cwiseAbs2();
     const ArmColumns weighted = J * squares.asDiagonal();
     const Matrix6 G = weighted.lazyProduct(J.transpose());
-    const Vector6 first = w0 - J.lazyProduct(Wish(u0, n)), second = w1 - J.lazyProduct(Wish(u1, n));
+    const Vector6 first = w0 - J.lazyProduct(Given(u0, n)), second = w1 - J.lazyProduct(Given(u1, n));
     for (int i = 0; i < 6; i++) {
         for (int k = 0; k < 6; k++) A[i][k / 2][k % 2] = G(i, k);
         A[i][3] = pair{first[i], second[i]};
@@ -142,8 +141,8 @@ static double arm_velocities(const double *jacobian, const double *scale, int n,
     if (!((least = solve6(A)) > 0.0)) return 0.0;
     Vector6 y0, y1;
     for (int i = 0; i < 6; i++) y0[i] = A[i][3][0], y1[i] = A[i][3][1];
-    Eigen::Map<Eigen::VectorXd>(v0, n) = Wish(u0, n) + weighted.transpose().lazyProduct(y0);
-    Eigen::Map<Eigen::VectorXd>(v1, n) = Wish(u1, n) + weighted.transpose().lazyProduct(y1);
+    Eigen::Map<Eigen::VectorXd>(v0, n) = Given(u0, n) + weighted.transpose().lazyProduct(y0);
+    Eigen::Map<Eigen::VectorXd>(v1, n) = Given(u1, n) + weighted.transpose().lazyProduct(y1);
     return sqrt(least);
 }
 
@@ -250,7 +249,7 @@ static void posture_velocity(Core *c, const double *positions, double *v) {
             if (c->posture_bounded[j] != 0.0) v[j] += o->centring * (c->posture_middle[j] - positions[j]);
             if (o->manipulability > 0.0) {
                 double *jacobian = c->posture_work + c->joints;
-                moved = Eigen::Map<const Eigen::VectorXd>(positions, c->joints);
+                moved = Given(positions, c->joints);
                 moved[j] += step;
                 const double up = manipulability(c, k, moved, jacobian);
                 moved[j] = positions[j] - step;

@@ -18,12 +18,12 @@ static Sketch sketch_of(const Core *c) {
 
 /* Self-motion by which redundant arms keep clear of bodies; 0 if a constraint fails. */
 static int evade(Core *c, const double *positions, double *slope) {
-    const size_t size = sizeof(double) * (size_t)c->joints;
+    Vector own(slope, c->joints, 1);
     if (!c->evade || (c->options->certified != 0.0 && quiet_ahead(c, positions))) return 1;
-    memcpy(c->evading_positions, positions, size);
-    memcpy(c->evading_slope, slope, size);
+    c->evading_positions = Given(positions, c->joints);
+    c->evading_slope = own;
     if (!c->evade(c)) return 0;
-    memcpy(slope, c->evading_slope, size);
+    own = c->evading_slope;
     return 1;
 }
 
@@ -326,7 +326,7 @@ static int turn_corner(Core *c, int i) {
             name_cause(k->limit, ACCELERATION, arm_of(c, joint), joint);
         }
     }
-    memcpy(slope, s.after, sizeof(double) * (size_t)c->joints);
+    Vector(slope, c->joints, 1) = s.after;
     k->corner = 1.0;
     k->fastest = largest_size(slope, c->joints);
     return 1;

@@ -48,13 +48,13 @@ static void solve_all(const In &arm, const In &poses, Out &q, Out &residuals, do
 static void derivatives_all(const In &arm, const In &q, const In &twists, const In &twist_slopes, Out &slopes,
                             Out &curvatures) {
     const Arm a = arm_of(arm);
-    using Given = Eigen::Map<const Vector6>;
+    using Six = Eigen::Map<const Vector6>;
     const Py_ssize_t count = twists.size / 6, n = a.joints;
     check_fit(n >= 6 && twists.size == 6 * count && twist_slopes.size == twists.size && q.size == n * count &&
               slopes.size == q.size && curvatures.size == q.size);
     nb::gil_scoped_release released;
     for (Py_ssize_t i = 0, j = 0; i < count; i++, j += n)
-        derivatives(a, q.data + j, Given(twists.data + 6 * i), Given(twist_slopes.data + 6 * i), slopes.data + j,
+        derivatives(a, q.data + j, Six(twists.data + 6 * i), Six(twist_slopes.data + 6 * i), slopes.data + j,
                     curvatures.data + j);
 }
 

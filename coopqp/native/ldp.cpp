@@ -16,102 +16,86 @@
  *
  * Rows are met to rounding where that leaves an answer, else, in a second attempt, to ROW_TOLERANCE. */
 
-
 #define ROW_TOLERANCE 1e-10 /* a row (of unit norm) broken by less holds */
 #define ROW_ROUNDING 1e-14  /* rounding of a row, as a share of 1 + ‖x‖ */
 #define DEPENDENT 1e-14     /* ‖z‖ / ‖ν‖, and entries of r, up to this are rounding */
 
+using Numbers = Eigen::Map<Eigen::VectorXd>;
+
+/* In `work`, which has room for 2 n (n + 3) numbers. */
 struct LeastDistance {
-    int n, k;            /* unknowns, active rows */
-    double *Q, *R;       /* (n, k) orthonormal, (k, k) triangular; both by columns of n numbers */
-    double *w, *u;       /* of the active rows */
-    double *d, *z, *r;   /* of the row that enters */
-    int *active;         /* index of each active row: rows of A, then bounds of x */
+    int n, k = 0;                  /* unknowns, active rows */
+    Eigen::Map<Eigen::MatrixXd> Q, R; /* k orthonormal columns; (k, k) triangular */
+    Numbers w, u;                  /* of the active rows */
+    Numbers d, z, r;               /* of the row that enters */
+    int *active;                   /* index of each active row: rows of A, then bounds of x */
+
+    LeastDistance(int unknowns, double *work)
+        : n(unknowns), Q(work, n, n), R(work + n * n, n, n), w(R.data() + n * n, n), u(w.data() + n, n), d(u.data() + n, n),
+          z(d.data() + n, n), r(z.data() + n, n), active(reinterpret_cast<int *>(r.data() + n)) {}
+
+    /* Split z into Q d + z; returns ‖z‖, 0 if that is rounding. Once more where much cancels: twice is enough. */
+    double project() {
+        double before, after = z.squaredNorm();
+        const double rounding = DEPENDENT * DEPENDENT * after;
+        d.head(k).setZero();
+        do {
+            before = after;
+            for (int j = 0; j < k; j++) {
+                const double part = Q.col(j).dot(z);
+                d[j] += part;
+                z -= part * Q.col(j);
+            }
+            after = z.squaredNorm();
+        } while (after < 0.5 * before && after > rounding);
+        return k < n && after > rounding ? sqrt(after) : 0.0;
+    }
+
+    /* solution = R⁻¹ right */
+    void solve(const Numbers &right, Numbers &solution) const {
+        solution.head(k) = right.head(k);
+        for (int j = k - 1; j >= 0; j--) {
+            solution[j] /= R(j, j);
+            solution.head(j) -= solution[j] * R.col(j).head(j);
+        }
+    }
+
+    /* Take out active row j: the columns of R move up, and rotations make it triangular again. */
+    void drop(int j) {
+        const int last = --k;
+        for (int i = j; i < last; i++) {
+            R.col(i).head(i + 2) = R.col(i + 1).head(i + 2);
+            u[i] = u[i + 1], active[i] = active[i + 1];
+        }
+        for (int i = j; i < last; i++) {
+            const double length = sqrt(R(i, i) * R(i, i) + R(i + 1, i) * R(i + 1, i));
+            const Eigen::JacobiRotation<double> rotation(R(i, i) / length, R(i + 1, i) / length);
+            R.middleCols(i, last - i).applyOnTheLeft(i, i + 1, rotation);
+            Q.applyOnTheRight(i, i + 1, rotation.transpose());
+            w.applyOnTheLeft(i, i + 1, rotation);
+        }
+    }
+
+    /* y, where every active row has its side, takes the multipliers. */
+    void put_multipliers(double *y) const {
+        for (int j = 0; j < k; j++) y[active[j]] *= u[j];
+    }
 };
 
-static double ldp_dot(int n, const double *a, const double *b) {
-    double part[4] = {0.0, 0.0, 0.0, 0.0};
-    int i = 0;
-    for (; i + 3 < n; i += 4)
-        for (int j = 0; j < 4; j++) part[j] += a[i + j] * b[i + j];
-    for (; i < n; i++) part[0] += a[i] * b[i];
-    return (part[0] + part[1]) + (part[2] + part[3]);
-}
-
-static void ldp_add(int n, double factor, const double *a, double *sum) {
-    for (int i = 0; i < n; i++) sum[i] += factor * a[i];
-}
-
-/* Split z into Q d + z; returns ‖z‖, 0 if that is rounding. Once more where much cancels: twice is enough. */
-static double ldp_project(LeastDistance *s) {
-    double before, after = ldp_dot(s->n, s->z, s->z);
-    const double rounding = DEPENDENT * DEPENDENT * after;
-    memset(s->d, 0, (size_t)s->k * sizeof(double));
-    do {
-        before = after;
-        for (int j = 0; j < s->k; j++) {
-            const double part = ldp_dot(s->n, s->Q + j * s->n, s->z);
-            s->d[j] += part;
-            ldp_add(s->n, -part, s->Q + j * s->n, s->z);
-        }
-        after = ldp_dot(s->n, s->z, s->z);
-    } while (after < 0.5 * before && after > rounding);
-    return s->k < s->n && after > rounding ? sqrt(after) : 0.0;
-}
-
-/* solution = R⁻¹ right */
-static void ldp_solve(const LeastDistance *s, const double *right, double *solution) {
-    memcpy(solution, right, (size_t)s->k * sizeof(double));
-    for (int j = s->k - 1; j >= 0; j--) {
-        solution[j] /= s->R[j * s->n + j];
-        ldp_add(j, -solution[j], s->R + j * s->n, solution);
-    }
-}
-
-static void ldp_rotate(int n, double c, double sine, double *a, double *b) {
-    for (int i = 0; i < n; i++) {
-        const double first = a[i];
-        a[i] = c * first + sine * b[i];
-        b[i] = c * b[i] - sine * first;
-    }
-}
-
-/* Take out active row j: the columns of R move up, and rotations make it triangular again. */
-static void ldp_drop(LeastDistance *s, int j) {
-    const int n = s->n, last = --s->k;
-    for (int i = j; i < last; i++) {
-        memcpy(s->R + i * n, s->R + (i + 1) * n, (size_t)(i + 2) * sizeof(double));
-        s->u[i] = s->u[i + 1], s->active[i] = s->active[i + 1];
-    }
-    for (int i = j; i < last; i++) {
-        double *column = s->R + i * n;
-        const double length = sqrt(column[i] * column[i] + column[i + 1] * column[i + 1]);
-        const double c = column[i] / length, sine = column[i + 1] / length;
-        for (int l = i; l < last; l++) ldp_rotate(1, c, sine, s->R + l * n + i, s->R + l * n + i + 1);
-        ldp_rotate(n, c, sine, s->Q + i * n, s->Q + (i + 1) * n);
-        ldp_rotate(1, c, sine, s->w + i, s->w + i + 1);
-    }
-}
-
-/* y, where every active row has its side, takes the multipliers. */
-static void ldp_multipliers(const LeastDistance *s, double *y) {
-    for (int j = 0; j < s->k; j++) y[s->active[j]] *= s->u[j];
-}
-
-static int ldp_attempt(int n, int m, const double *A, const double *low, const double *high, const double *lb,
-                       const double *ub, double reach, double tolerance, double *x, double *y, double *work) {
-    LeastDistance s = {n, 0, work, work + n * n, nullptr, nullptr, nullptr, nullptr, nullptr, nullptr};
-    s.w = s.R + n * n, s.u = s.w + n, s.d = s.u + n, s.z = s.d + n, s.r = s.z + n, s.active = (int *)(s.r + n);
+static int ldp_attempt(int n, int m, const double *rows, const double *low, const double *high, const double *lb,
+                       const double *ub, double reach, double tolerance, double *answer, double *y, double *work) {
+    LeastDistance s(n, work);
+    Numbers x(answer, n);
+    const auto row = [&](int i) { return Given(rows + (size_t)i * (size_t)n, n); };
     const int most = 100 + 4 * (n + m);
-    memset(x, 0, (size_t)n * sizeof(double));
-    memset(y, 0, (size_t)(m + n) * sizeof(double));
+    x.setZero(), Numbers(y, m + n).setZero();
     for (int iterations = 0;; ) {
         /* The row that is broken most. */
-        const double squared = ldp_dot(s.k, s.w, s.w); /* ‖x‖² */
+        const double squared = s.w.head(s.k).squaredNorm(); /* ‖x‖² */
         double worst = fmax(tolerance, ROW_ROUNDING * (1.0 + sqrt(squared))), sum = 0.0, side = 0.0, bound = 0.0;
         int p = -1;
         for (int i = 0; i < m + n; i++) {
-            const double value = i < m ? ldp_dot(n, A + (size_t)i * (size_t)n, x) : x[i - m];
+            const double value = i < m ? row(i).dot(x) : x[i - m];
             const double lower = i < m ? low[i] : lb[i - m], upper = i < m ? high[i] : ub[i - m];
             sum += value; /* 0, before anything moves, unless A has entries that are not finite */
             if (value - upper > worst && y[i] == 0.0) worst = value - upper, p = i, side = 1.0, bound = upper;
@@ -119,19 +103,18 @@ static int ldp_attempt(int n, int m, const double *A, const double *low, const d
         }
         if (!isfinite(sum)) return -2;
         if (p < 0) {
-            ldp_multipliers(&s, y);
+            s.put_multipliers(y);
             return iterations;
         }
         /* It enters. */
         double tau = 0.0, dual = 0.5 * squared;
         for (;;) {
             if (++iterations > most) return -2;
-            memset(s.z, 0, (size_t)n * sizeof(double));
-            if (p < m) ldp_add(n, -side, A + (size_t)p * (size_t)n, s.z);
-            else s.z[p - m] = -side;
-            const double length = ldp_project(&s), closed = -side * bound - ldp_dot(s.k, s.d, s.w);
+            if (p < m) s.z = -side * row(p);
+            else s.z = -side * Eigen::VectorXd::Unit(n, p - m);
+            const double length = s.project(), closed = -side * bound - s.d.head(s.k).dot(s.w.head(s.k));
             const double gap = closed - tau * length * length;
-            ldp_solve(&s, s.d, s.r);
+            s.solve(s.d, s.r);
             double step = INFINITY;
             int first = -1;
             for (int j = 0; j < s.k; j++) {
@@ -142,33 +125,33 @@ static int ldp_attempt(int n, int m, const double *A, const double *low, const d
             }
             if (length > 0.0 && gap <= step * length * length) {
                 const int k = s.k++;
-                for (int i = 0; i < n; i++) s.Q[k * n + i] = s.z[i] / length;
-                memcpy(s.R + k * n, s.d, (size_t)k * sizeof(double));
-                s.R[k * n + k] = length;
+                s.Q.col(k) = s.z / length;
+                s.R.col(k).head(k) = s.d.head(k);
+                s.R(k, k) = length;
                 s.w[k] = closed / length;
                 s.active[k] = p, y[p] = side;
-                ldp_solve(&s, s.w, s.u);
-                memset(x, 0, (size_t)n * sizeof(double));
-                for (int j = 0; j <= k; j++) ldp_add(n, s.w[j], s.Q + j * n, x);
-                if (ldp_dot(s.k, s.w, s.w) <= reach * reach) break;
-                ldp_multipliers(&s, y);
+                s.solve(s.w, s.u);
+                x.setZero();
+                for (int j = 0; j <= k; j++) x += s.w[j] * s.Q.col(j);
+                if (s.w.head(s.k).squaredNorm() <= reach * reach) break;
+                s.put_multipliers(y);
                 return -1;
             }
             if (first >= 0) {
-                ldp_add(s.k, -step, s.r, s.u);
+                s.u.head(s.k) -= step * s.r.head(s.k);
                 dual += step * (gap - 0.5 * step * length * length);
                 tau += step;
             } else {
-                for (int j = 0; j < s.k; j++) s.u[j] = -s.r[j];
+                s.u.head(s.k) = -s.r.head(s.k);
                 tau = 1.0;
             }
             if (first < 0 || dual > 0.5 * reach * reach) {
-                ldp_multipliers(&s, y);
+                s.put_multipliers(y);
                 y[p] = side * tau;
                 return -1;
             }
             y[s.active[first]] = 0.0;
-            ldp_drop(&s, first);
+            s.drop(first);
         }
     }
 }

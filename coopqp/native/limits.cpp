@@ -71,8 +71,7 @@ static int well_inside(const Core *c, double h) {
 
 /* G v of one further row */
 static double further(const Core *c, int row, const double *v) {
-    using Numbers = Eigen::Map<const Eigen::VectorXd>;
-    return Numbers(c->further + c->joints * row, c->joints).dot(Numbers(v, c->joints));
+    return Given(c->further + c->joints * row, c->joints).dot(Given(v, c->joints));
 }
 
 static int within(double x, double low, double high, double tolerance) {
@@ -145,7 +144,7 @@ static int ray(Core *c, double cap) {
     c->proposal->binding_row = rates.high < cap ? rates.row : -1.0;
     c->proposal->binding_side = rates.side;
     c->proposal->new_rate = rate;
-    for (int j = 0; j < c->joints; j++) c->command[j] += (rate - cap) * along[j];
+    c->command += (rate - cap) * c->along_velocity;
     return clip(c, 2.0 * LIMIT_TOLERANCE) && further_admissible(c, 10.0 * LIMIT_TOLERANCE);
 }
 
@@ -177,8 +176,6 @@ static double brake_share(const Core *c, double h, int *joint) {
     return fmax(0.0, 1.0 - h / fmin(fmax(2.0 * (left - h), longest), planned));
 }
 
-static int any_outside(const Core *c) {
-    for (int j = 0; j < c->joints; j++)
-        if (c->positions[j] > c->high[j] || c->positions[j] < c->low[j]) return 1;
-    return 0;
+static bool any_outside(const Core *c) {
+    return (c->positions.array() > c->high.array()).any() || (c->positions.array() < c->low.array()).any();
 }

@@ -2,6 +2,7 @@
 
 #include "nearby.h"
 
+#include <Eigen/QR>
 #include <math.h>
 #include <string.h>
 
@@ -166,80 +167,51 @@ void Evasion::add(const std::vector<double> &G, double lacks) {
     missing.push_back(lacks);
 }
 
-/* Take its parts along unit vectors out of a vector of n numbers; what is left of its length. */
-static double reject(std::vector<double> &v, const std::vector<std::vector<double>> &units) {
-    double square = 0.0;
-    for (int again = 0; again < 2; again++)
-        for (const std::vector<double> &u : units) {
-            double part = 0.0;
-            for (size_t i = 0; i < v.size(); i++) part += u[i] * v[i];
-            for (size_t i = 0; i < v.size(); i++) v[i] -= part * u[i];
-        }
-    for (const double own : v) square += own * own;
-    return sqrt(square);
-}
-
 /* An orthonormal basis of each redundant arm's self-motion, in units of its joints' speeds. */
 void Evasion::find_basis(Shapes &shapes, const In &arm, const In &speeds) {
-    const size_t nv = (size_t)arm.size;
-    basis.clear();
-    for (size_t begin = 0, end; begin < nv; begin = end) {
+    const Py_ssize_t nv = arm.size;
+    basis.resize(nv, 0);
+    for (Py_ssize_t begin = 0, end; begin < nv; begin = end) {
         for (end = begin; end < nv && arm.data[end] == arm.data[begin];) end++;
-        const size_t n = end - begin;
-        if (n <= 6) continue;
-        const auto scale = [&](size_t i) { return speeds.data[begin + i] < FASTEST_JOINT ? speeds.data[begin + i] : 1.0; };
-        std::vector<std::vector<double>> units;
-        for (size_t row = 0; row < n; row++) { /* what moves the tool, then the rest of the space */
-            std::vector<double> v(n), best;
-            double longest = 0.0, size = 0.0;
-            for (size_t tries = 0; tries < (row < 6 ? 1 : n); tries++) {
-                for (size_t i = 0; i < n; i++)
-                    v[i] = row < 6 ? scale(i) * shapes.twist(begin + i)[row] : (i == tries ? 1.0 : 0.0);
-                size = reject(v, units);
-                if (size > longest) longest = size, best = v;
-            }
-            if (!(longest > 0.0)) best.assign(n, 0.0), longest = 1.0;
-            for (double &own : best) own /= longest;
-            units.push_back(best);
-            if (row < 6) continue;
-            basis.resize(basis.size() + nv);
-            for (size_t i = 0; i < n; i++) basis[basis.size() - nv + begin + i] = best[i] * scale(i);
+        const Py_ssize_t n = end - begin, motions = n - 6;
+        if (motions <= 0) continue;
+        Eigen::VectorXd scale(n);
+        Eigen::MatrixXd tool(n, 6); /* what each joint does to it */
+        for (Py_ssize_t i = 0; i < n; i++) {
+            scale[i] = speeds.data[begin + i] < FASTEST_JOINT ? speeds.data[begin + i] : 1.0;
+            tool.row(i) = scale[i] * shapes.twist((size_t)(begin + i)).transpose();
         }
+        const Eigen::MatrixXd Q = tool.householderQr().householderQ();
+        basis.conservativeResize(nv, basis.cols() + motions);
+        basis.rightCols(motions).setZero();
+        basis.rightCols(motions).middleRows(begin, n) = scale.asDiagonal() * Q.rightCols(motions);
     }
 }
 
 /* min |z|² + |s|² with G (q′ + N z) + s / YIELDS >= lower: of rows that self-motion changes, with unit norm. */
 void Evasion::move(Shapes &shapes, const In &arm, const In &speeds, double *slope) {
-    const size_t nv = (size_t)arm.size;
+    using Rows = Eigen::Matrix<double, Eigen::Dynamic, Eigen::Dynamic, Eigen::RowMajor>;
     find_basis(shapes, arm, speeds);
-    const size_t motions = basis.size() / nv;
-    std::vector<std::vector<double>> helping;
-    low.clear();
-    for (size_t i = 0; i < missing.size(); i++) {
-        std::vector<double> row(motions);
-        double most = 0.0, square = 1.0 / (YIELDS * YIELDS);
-        for (size_t z = 0; z < motions; z++) {
-            for (size_t j = 0; j < nv; j++) row[z] += rows[i * nv + j] * basis[z * nv + j];
-            most = maximum(most, fabs(row[z])), square += row[z] * row[z];
-        }
-        if (!(most > HELPS)) continue;
-        for (double &own : row) own /= sqrt(square);
-        row.push_back(1.0 / (YIELDS * sqrt(square)));
-        helping.push_back(row), low.push_back(missing[i] / sqrt(square));
-    }
-    const size_t m = helping.size(), n = m + motions;
+    const Py_ssize_t motions = basis.cols(), all = (Py_ssize_t)missing.size();
+    const Rows turned = Eigen::Map<const Rows>(rows.data(), all, arm.size) * basis;
+    std::vector<Py_ssize_t> helping;
+    for (Py_ssize_t i = 0; i < all && motions; i++)
+        if (turned.row(i).cwiseAbs().maxCoeff() > HELPS) helping.push_back(i);
+    const Py_ssize_t m = (Py_ssize_t)helping.size(), n = m + motions;
     if (!m) return;
-    A.assign(m * n, 0.0), high.assign(m, INFINITY), lb.assign(n, -INFINITY), ub.assign(n, INFINITY);
-    x.assign(n, 0.0), y.assign(m + n, 0.0), work.assign(2 * n * (n + 3), 0.0);
-    for (size_t i = 0; i < m; i++) {
-        std::copy(helping[i].begin(), helping[i].end() - 1, A.begin() + (Py_ssize_t)(i * n));
-        A[i * n + motions + i] = helping[i].back();
+    Rows A = Rows::Zero(m, n);
+    Eigen::VectorXd low(m), x(n), y(m + n), work(2 * n * (n + 3));
+    for (Py_ssize_t i = 0; i < m; i++) {
+        const auto row = turned.row(helping[(size_t)i]);
+        const double per = 1.0 / sqrt(row.squaredNorm() + 1.0 / (YIELDS * YIELDS));
+        A.row(i).head(motions) = per * row;
+        A(i, motions + i) = per / YIELDS, low[i] = per * missing[(size_t)helping[(size_t)i]];
     }
-    if (best()->least_distance((int)n, (int)m, A.data(), low.data(), high.data(), lb.data(), ub.data(), INFINITY, x.data(),
+    const Eigen::VectorXd ub = Eigen::VectorXd::Constant(m + n, INFINITY), lb = -ub;
+    if (best()->least_distance((int)n, (int)m, A.data(), low.data(), ub.data(), lb.data(), ub.data(), INFINITY, x.data(),
                                y.data(), work.data()) < 0)
         return;
-    for (size_t z = 0; z < motions; z++)
-        for (size_t j = 0; j < nv; j++) slope[j] += basis[z * nv + j] * x[z];
+    Eigen::Map<Eigen::VectorXd>(slope, arm.size) += basis * x.head(motions);
 }
 
 /* -- building -------------------------------------------------------------------------------------------------------- */

@@ -96,8 +96,8 @@ public:
 
 private:
     void find_basis(Shapes &shapes, const In &arm, const In &speeds);
-    std::vector<double> rows, missing, basis; /* basis: joints of each motion */
-    std::vector<double> A, low, high, lb, ub, x, y, work;
+    std::vector<double> rows, missing;
+    Eigen::MatrixXd basis; /* joints of each motion */
 };
 
 class Nearby {

@@ -141,8 +141,8 @@ static double preview_brake(const Core *c, double clock, double dt, double rate)
 
 static void preview_reference(Core *c, double clock, double *positions, double *slope) {
     if (c->ahead->count == 0.0) {
-        memcpy(positions, c->positions, sizeof(double) * (size_t)c->joints);
-        memset(slope, 0, sizeof(double) * (size_t)c->joints);
+        Vector(positions, c->joints, 1) = c->positions;
+        Vector(slope, c->joints, 1).setZero();
         return;
     }
     leave_behind(c, clock);

@@ -17,7 +17,7 @@ static OfRows columns_of(const Core *c) { return {c->columns, c->joints + c->fur
  * motions, orthonormal in the joints' units. By Householder's QR of diag(scale) Jᵀ. Returns false if near a singularity. */
 static bool right_inverse(const OfArm &J, const double *scale, ArmRows6 &P, ArmSquare &N) {
     const Eigen::Index n = J.cols();
-    const Eigen::Map<const Eigen::VectorXd> W(scale, n);
+    const Given W(scale, n);
     ArmRows6 M = W.asDiagonal() * J.transpose();
     ArmSquare Q = ArmSquare::Identity(n, n);
     Vector6 diagonal, per;
@@ -51,7 +51,7 @@ static void arm_columns(Core *c, int k, int z, const ArmRows6 &P, const ArmSquar
     const auto [start, n] = joints_of(c, k);
     const int extra = n - 6;
     auto rows = columns_of(c).middleRows(start, n);
-    const Eigen::Map<const Eigen::VectorXd> unit(c->unit, c->unknowns);
+    const Given unit(c->unit, c->unknowns);
     Eigen::Matrix<double, Eigen::Dynamic, 10, 0, MOST_JOINTS, 10> X = P.lazyProduct(T);
     if (extra) { /* the wishes' coordinates in the null-space */
         const ArmSquare per = c->scale.segment(start, n).cwiseAbs2().cwiseInverse().asDiagonal() * N;
@@ -145,7 +145,7 @@ static int solve_condensed(Core *c, double cap, int relax) {
 static int read_answer(Core *c, double cap) {
     Proposal *p = c->proposal;
     int count = 0;
-    const Eigen::Map<const Eigen::VectorXd> base(c->base, c->joints), x(c->x, c->unknowns);
+    const Given base(c->base, c->joints), x(c->x, c->unknowns);
     c->command = base + columns_of(c).topRows(c->joints).lazyProduct(x);
     for (int pass = 0; pass < 2; pass++)
         for (int i = 0; i < c->joints + c->further_rows; i++) {

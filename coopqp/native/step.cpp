@@ -166,11 +166,7 @@ static double blind_brake(const Core *c) {
     return tightest > 0.0 ? c->loop->rate / tightest : INFINITY;
 }
 
-static int moves(const Core *c) {
-    for (int j = 0; j < c->joints; j++)
-        if (c->velocity[j] != 0.0) return 1;
-    return 0;
-}
+static bool moves(const Core *c) { return (c->velocity.array() != 0.0).any(); }
 
 /* The largest rate by the override, reached as fast as the joints can follow. */
 static double reined_rate(const Core *c, double h) {
@@ -333,12 +329,8 @@ static int answered(Outcome outcome) { return outcome != OPEN && outcome != FILL
 
 /* Whether one linearisation is not enough for the command. */
 static int long_step(const Core *c) {
-    double change = 0.0, fastest = 0.0;
-    const double h = c->proposal->dt;
-    for (int j = 0; j < c->joints; j++) {
-        change = fmax(change, fabs(c->command[j] - c->guess[j]));
-        fastest = fmax(fastest, fabs(c->command[j]));
-    }
+    const double h = c->proposal->dt, change = (c->command - c->guess).cwiseAbs().maxCoeff();
+    const double fastest = c->command.cwiseAbs().maxCoeff();
     return fastest * h > LONG_STEP || change * h * fastest * h > BENT_STEP;
 }
 
@@ -637,7 +629,7 @@ static void start(Core *c, const double *positions) {
     *c->loop = Loop{};
     c->loop->overridden = override, c->loop->pause = pause;
     c->loop->ease = rate_asked(c) < c->options->blocked_rate ? 0.0 : 1.0;
-    c->positions = Vector(const_cast<double *>(positions), c->joints, 1);
+    c->positions = Given(positions, c->joints);
     c->velocity.setZero(), c->before.setZero();
     c->drift.setZero(), c->correcting.setZero();
     c->loop->last_dt = c->options->nominal_dt;

@@ -13,6 +13,7 @@ using Matrix3 = Eigen::Matrix<double, 3, 3, Eigen::RowMajor>;
 using Matrix6 = Eigen::Matrix<double, 6, 6, Eigen::RowMajor>;
 using Matrix6X = Eigen::Matrix<double, 6, Eigen::Dynamic>;
 
+using Given = Eigen::Map<const Eigen::VectorXd>; /* numbers that are only read */
 using Ref6 = Eigen::Ref<Vector6>;
 
 /* A placement: as 12 numbers of the memory, the rotation row by row. */

@@ -99,11 +99,31 @@ def build_memory(
     return memory
 
 
-def put_options(memory: Memory, chain: Chain, box: VelocityBox, options: QPOptions, dt: float) -> None:
+def put_options(memory: Memory, chain: Chain, box: VelocityBox, o: QPOptions, dt: float) -> None:
     """Put the settings of a path into the memory; what belongs to the solver stays."""
-    numbers = memory.options
-    _put_plan(chain, memory.at, numbers, options, dt)
-    _put_options(numbers, box, options, dt)
+    at, numbers, s, p, w = memory.at, memory.options, o.supervision, o.preview, o.weights
+    plan = PlanLimits.of(chain.cell, p or PreviewOptions(), dt=dt)
+    at["plan_acceleration"][:] = plan.acceleration  # the way to a new target keeps to them without a preview, too
+    for source in (o, o.posture, s) if p is None else (o, o.posture, s, p):
+        for name in layout.members(numbers) & vars(source).keys():  # many have the core's names
+            if isinstance(value := getattr(source, name), (int, float)):
+                setattr(numbers, name, value)
+    slope = (p or PreviewOptions()).slope(accelerates=box.accelerates, dt=dt)
+    values: dict[str, float] = {
+        "nominal_dt": dt, "accelerates": box.accelerates, "recovery_unit": w.recovery**-0.5,
+        "relax_unit": w.clearance**-0.5, "rein_slope": slope, "posture_gain": o.posture.gain,
+        "slow_from": -1.0 if s.slow_from is None else s.slow_from, "stall_samples": s.stall_samples or 0,
+        "dt_low": s.dt_range[0], "dt_high": s.dt_range[1], "watches_force": s.stiffness is not None,
+        "apart_hold": math.inf if s.apart_from is None else s.apart_from,
+    }  # fmt: skip
+    if p is not None:
+        for name in ("speed", "jump", "room"):
+            at[f"plan_{name}"][:] = getattr(plan, name)
+        at["slope_change"][:] = plan.slope_change
+        values |= {"slope_cap": plan.slope_cap, "room": plan.room.max()}
+        values |= {"rise": slope, "looks_ahead": 1.0, "caps_speed": box.accelerates}
+    for name, value in values.items():
+        setattr(numbers, name, value)
 
 
 def _arms(chain: Chain) -> tuple[list[int], list[int]]:
@@ -147,56 +167,21 @@ def _links_of(cell: RobotCell) -> tuple[Array, Array, Array, list[Array]]:
     return R.ravel(), p.ravel(), slides, aligned
 
 
-def _put_plan(chain: Chain, at: dict[str, Array], numbers: Any, options: QPOptions, dt: float) -> None:
-    plan = PlanLimits.of(chain.cell, options.preview or PreviewOptions(), dt=dt)
-    at["plan_acceleration"][:] = plan.acceleration  # the way to a new target keeps to them without a preview, too
-    if options.preview is None:
-        return
-    at["plan_speed"][:] = plan.speed
-    at["plan_jump"][:], at["slope_change"][:] = plan.jump, plan.slope_change
-    at["plan_room"][:] = plan.room
-    numbers.slope_cap, numbers.room = plan.slope_cap, plan.room.max()
-
-
-def _put_options(numbers: Any, box: VelocityBox, o: QPOptions, dt: float) -> None:
-    s, p, w = o.supervision, o.preview, o.weights
-    for source in (o, o.posture, s) if p is None else (o, o.posture, s, p):
-        for name in layout.members(numbers) & vars(source).keys():  # many have the core's names
-            if isinstance(value := getattr(source, name), (int, float)):
-                setattr(numbers, name, value)
-    slope = (p or PreviewOptions()).slope(accelerates=box.accelerates, dt=dt)
-    values: dict[str, float] = {
-        "nominal_dt": dt, "accelerates": box.accelerates, "recovery_unit": w.recovery**-0.5,
-        "relax_unit": w.clearance**-0.5, "rein_slope": slope, "posture_gain": o.posture.gain,
-        "slow_from": -1.0 if s.slow_from is None else s.slow_from, "stall_samples": s.stall_samples or 0,
-        "dt_low": s.dt_range[0], "dt_high": s.dt_range[1], "watches_force": s.stiffness is not None,
-        "apart_hold": math.inf if s.apart_from is None else s.apart_from,
-    }  # fmt: skip
-    if p is not None:
-        values |= {"rise": slope, "looks_ahead": 1.0, "caps_speed": box.accelerates}
-    for name, value in values.items():
-        setattr(numbers, name, value)
-
-
 def same_kinematics(chain: Chain, linearise: object, *, samples: int = 3, tolerance: float = 1e-9) -> bool:
     """Whether the core's kinematics are Pinocchio's, at seeded random configurations of this very robot."""
     rng, cell = np.random.default_rng(0), chain.cell
-    carried, jacobian = np.zeros(12 * len(cell)), np.zeros(6 * cell.nv)
+    carried, jacobian = np.zeros((len(cell), 12)), np.zeros((cell.nv, 6))
     moving = np.concatenate(chain.moving_columns)
-    reach = 1.0
-    for _ in range(samples):
-        x = rng.uniform(-2.0, 2.0, cell.nv)
+    for x in rng.uniform(-2.0, 2.0, (samples, cell.nv)):
         q = cell.configuration(x)
         O = chain.carried(q)
         about = O[0].translation.copy()
         linearise(x, about, carried, jacobian)  # type: ignore[operator]
         chain.evaluate(q, about)
-        mine = carried.reshape(-1, 12)
-        rotations, origins = np.array([own.rotation for own in O]), np.array([own.translation for own in O])
-        reach = max(reach, float(np.abs(origins).max()))
-        away = np.abs(mine[:, :9].reshape(-1, 3, 3) - rotations).max()
-        away = max(away, np.abs(mine[:, 9:] - origins).max() / reach)
-        away = max(away, np.abs(jacobian.reshape(-1, 6)[moving] - np.hstack(chain.jacobians).T).max() / reach)
-        if not away < tolerance:
+        expected = np.array([[*own.rotation.ravel(), *own.translation] for own in O])
+        reach = max(1.0, float(np.abs(expected[:, 9:]).max()))
+        units = np.repeat((1.0, reach), (9, 3))  # of rotations, and of origins
+        away = np.abs((carried - expected) / units).max()
+        if not max(away, np.abs(jacobian[moving] - np.hstack(chain.jacobians).T).max() / reach) < tolerance:
             return False
     return True
