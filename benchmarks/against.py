@@ -1,7 +1,8 @@
 """coopqp beside coopqp of another commit: the cases of cost of compare_peers.py, both in one run.
 
 A copy of that commit is built beside, with this Python and its packages. Each of the two runs in a process of its own,
-with its own benchmarks/peers/run_coopqp.py; they take turns in short rounds, hot and at 1 kHz. Records have the keys
+with its own benchmarks/peers/run_coopqp.py; they take turns in short rounds, hot and at 1 kHz; several pairs of
+processes do so, one after the other. Records have the keys
 
 ``case``, ``arms``, ``pacing``, ``commit``   the row;
 ``p50_us``, ``p50_us_there``                 median of all steps here, and there;
@@ -13,6 +14,7 @@ with its own benchmarks/peers/run_coopqp.py; they take turns in short rounds, ho
 
 from __future__ import annotations
 
+import contextlib
 import io
 import os
 import shutil
@@ -31,6 +33,8 @@ from contestants import HERE, PACES, Contestant, NotAvailable, hand_over, ratio
 
 #: A row is good if it takes at most this much of the other commit's time, or at most this much longer [µs].
 MOST_RATIO, MOST_US = 1.05, 0.1
+#: Pairs of processes: two of one commit differ, by where their memory lies, as long as they run.
+PAIRS = 5
 KEYS = (
     "case", "arms", "pacing", "commit", "p50_us", "p50_us_there", "ratio", "more_us", "good", "failures", "note",
 )  # fmt: skip
@@ -99,10 +103,12 @@ def start(folder: Path) -> Contestant:
     return Contestant("coopqp", Path(sys.executable), script=script, environment={"PYTHONPATH": path})
 
 
-def rounds_of(here: Callable[[], Round], there: Callable[[], Round], number: int) -> tuple[list[Round], list[Round]]:
-    """Rounds of both by turns, the order reversed in every other one."""
+def rounds_of(
+    here: Callable[[], Round], there: Callable[[], Round], number: int, *, begin: int = 0
+) -> tuple[list[Round], list[Round]]:
+    """Rounds of both by turns, the order reversed in every other one; ``begin`` is the number of the first."""
     found: tuple[list[Round], list[Round]] = ([], [])
-    for i in range(number):
+    for i in range(begin, begin + number):
         for k in (0, 1) if i % 2 == 0 else (1, 0):
             found[k].append((here, there)[k]())
     return found
@@ -128,38 +134,44 @@ def judged(here: Sequence[Round], there: Sequence[Round]) -> Record:
 def compare(
     commit: str, cache: Path, *, cases: Sequence[str], arms: Sequence[int], rounds: int, steps: int, round_s: float
 ) -> list[Record]:
-    """All rows. Each round has ``steps`` steps and ends after ``round_s`` seconds.
+    """All rows: ``rounds`` of each of :data:`PAIRS` pairs, of ``steps`` steps each, that end after ``round_s`` seconds.
 
     Raises:
         NotAvailable: the other commit cannot run.
     """
-    records: list[Record] = []
     folder = checkout(commit, cache)
+    rows = [(case, count, pacing) for count in arms for case in cases for pacing in PACES]
+    found: dict[tuple[str, int, str], tuple[list[Round], list[Round]]] = {row: ([], []) for row in rows}
+    progress = common.Progress(PAIRS * len(rows))
+    with tempfile.TemporaryDirectory(prefix="against_") as temporary:
+        for number in range(PAIRS):
+            with contextlib.ExitStack() as stack:
+                pair: list[Contestant] = []
+                for begin in (lambda: Contestant.start("coopqp", cache, install=False), lambda: start(folder)):
+                    pair.append(begin())
+                    stack.callback(pair[-1].stop)
+                for case, count, pacing in rows:
+                    progress.advance(f"{case}, {count} arms, {pacing}")
+                    file = Path(temporary) / f"{case}_{count}" / "task.json"
+                    if not file.exists():
+                        hand_over(peer_cases.build(case, count), file.parent)
+                    here, there = (_rounds(one, file, steps, PACES[pacing], round_s) for one in pair)
+                    for all_rounds, more in zip(
+                        found[case, count, pacing], rounds_of(here, there, rounds, begin=number), strict=True
+                    ):
+                        all_rounds += more
+    progress.close()
     name = folder.name.partition("-")[2]
-    progress = common.Progress(len(cases) * len(arms) * len(PACES))
-    pair: list[Contestant] = []
-    try:
-        pair += [Contestant.start("coopqp", cache, install=False), start(folder)]
-        modes = [contestant.modes[0] for contestant in pair]
-        with tempfile.TemporaryDirectory(prefix="against_") as temporary:
-            for count in arms:
-                for case in cases:
-                    file = hand_over(peer_cases.build(case, count), Path(temporary) / f"{case}_{count}")
-                    for contestant in pair:
-                        contestant.load(file)
-                    for pacing, period in PACES.items():
+    return [
+        {"case": case, "arms": count, "pacing": pacing, "commit": name, **judged(*found[case, count, pacing])}
+        for case, count, pacing in rows
+    ]
 
-                        def one(k: int, period: float = period) -> Callable[[], Round]:
-                            return lambda: _round(pair[k], modes[k], steps, period, round_s)
 
-                        progress.advance(f"{case}, {count} arms, {pacing}")
-                        row = judged(*rounds_of(one(0), one(1), rounds))
-                        records.append({"case": case, "arms": count, "pacing": pacing, "commit": name, **row})
-    finally:
-        for contestant in pair:
-            contestant.stop()
-        progress.close()
-    return records
+def _rounds(contestant: Contestant, file: Path, steps: int, period: float, round_s: float) -> Callable[[], Round]:
+    """Rounds of a task that a contestant loads here."""
+    contestant.load(file)
+    return lambda: _round(contestant, contestant.modes[0], steps, period, round_s)
 
 
 def _round(contestant: Contestant, mode: str, steps: int, period: float, round_s: float) -> Round:

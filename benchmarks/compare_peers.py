@@ -58,8 +58,8 @@ KEYS = (
 #: The peer and its mode that coopqp's records are compared with, and its case by coopqp's, where it is not "nominal".
 REFERENCE, REFERENCE_MODE, REFERENCE_CASES = "placo", "hard scaled", {"measured": "measured"}
 
-#: Beside another commit rounds are shorter by this factor, and as many more; ring of at most so many arms.
-AGAINST_ROUNDS, MOST_ARMS_AGAINST = 4, 8
+#: Beside another commit rounds are shorter by this factor; the ring has at most so many arms.
+AGAINST_SHORTER, MOST_ARMS_AGAINST = 4, 8
 
 
 @dataclass(frozen=True)
@@ -444,13 +444,13 @@ def run_against(args: argparse.Namespace, plan: Plan) -> int:
     """The cases of cost beside another commit. Returns 1 if that cannot run."""
     cases = [case for case in peer_cases.COST if case in plan.cases]
     arms = args.arms or [n for n in plan.arms if n <= MOST_ARMS_AGAINST]
-    settings = {"times": "CPU time of the process", "commit": args.against, "rounds": AGAINST_ROUNDS * plan.rounds}
+    settings = {"times": "CPU time of the process", "commit": args.against, "rounds": against.PAIRS * plan.rounds}
     description = common.describe("compare_peers --against", settings)
     print(common.header(description), flush=True)
     try:
         records = against.compare(
-            args.against, args.cache, cases=cases, arms=arms, rounds=AGAINST_ROUNDS * plan.rounds,
-            steps=plan.steps // AGAINST_ROUNDS, round_s=plan.round_s,
+            args.against, args.cache, cases=cases, arms=arms, rounds=plan.rounds,
+            steps=plan.steps // AGAINST_SHORTER, round_s=plan.round_s,
         )  # fmt: skip
     except NotAvailable as error:
         print(f"{args.against} is not compared: {error}")

@@ -36,6 +36,8 @@ class TestRow:
         assert order == ["here", "there", "there", "here", "here", "there"]
         assert [times for times, _, _ in here] == [[1.0], [4.0], [5.0]]
         assert [times for times, _, _ in there] == [[2.0], [3.0], [6.0]]
+        against.rounds_of(contestant("here"), contestant("there"), 1, begin=3)
+        assert order[6:] == ["there", "here"]
 
     def test_figures_are_of_each_round(self) -> None:
         row = against.judged(rounds(1.0, 10.0, 3.0), rounds(1.0, 8.0, 4.0))  # the machine slows down in the second
@@ -76,15 +78,16 @@ class Fake:
 
 class TestCompare:
     def test_every_row_has_a_ratio(self, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-        other = Fake(1.0)
+        others: list[Fake] = []
         monkeypatch.setattr(against, "checkout", lambda commit, cache: tmp_path / "coopqp-0123456789ab")
-        monkeypatch.setattr(against, "start", lambda folder: other)
+        monkeypatch.setattr(against, "start", lambda folder: others.append(Fake(1.0)) or others[-1])
         monkeypatch.setattr(against, "Contestant", Fake)
         records = against.compare("HEAD", tmp_path, cases=("nominal", "qp"), arms=(3,), rounds=2, steps=3, round_s=1.0)
         assert [(r["case"], r["pacing"]) for r in records] == [(c, p) for c in ("nominal", "qp") for p in PACES]
         assert all(set(r) == set(against.KEYS) for r in records)
         assert {(r["ratio"], r["commit"], r["good"]) for r in records} == {(2.0, "0123456789ab", False)}
-        assert other.stopped
+        assert len(others) == against.PAIRS
+        assert all(other.stopped for other in others)
         assert "0 of 4 rows" in against.report(records)
 
     @pytest.mark.slow
