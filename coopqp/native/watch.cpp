@@ -398,7 +398,7 @@ static void find_behind(Core *c, const Twists &jacobian, const double *C, const 
         if (!(straight > straightest)) continue;
         straightest = straight;
         w->behind = k;
-        w->gap = back.norm();
+        w->gap = back.head<3>().norm();
         w->pull = (total - wrenches.col(k)).head<3>().norm();
     }
 }
