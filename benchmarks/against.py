@@ -146,10 +146,10 @@ def compare(
     with tempfile.TemporaryDirectory(prefix="against_") as temporary:
         for number in range(PAIRS):
             with contextlib.ExitStack() as stack:
-                pair: list[Contestant] = []
-                for begin in (lambda: Contestant.start("coopqp", cache, install=False), lambda: start(folder)):
-                    pair.append(begin())
-                    stack.callback(pair[-1].stop)
+                pair = [Contestant.start("coopqp", cache, install=False)]
+                stack.callback(pair[0].stop)
+                pair.append(start(folder))
+                stack.callback(pair[1].stop)
                 for case, count, pacing in rows:
                     progress.advance(f"{case}, {count} arms, {pacing}")
                     file = Path(temporary) / f"{case}_{count}" / "task.json"
