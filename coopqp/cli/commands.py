@@ -300,7 +300,7 @@ def _view_cell(arguments: argparse.Namespace) -> int:
     """Show a cell before it runs, or write it as a page."""
     from coopqp.cli.check import glance_at
     from coopqp.cli.runs import obtain_run
-    from coopqp.visualization.viewer import CellViewer, export_glance
+    from coopqp.visualization.cell_viewer import CellViewer, export_glance
 
     with reporter(quiet=arguments.quiet) as report:
         found, more = glance_at(arguments.what, report)

@@ -6,14 +6,13 @@ The scene has no windows, buttons or files. :mod:`coopqp.visualization.viewer` s
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
 import pinocchio as pin
 
 from coopqp.checks import require
-from coopqp.control.interface import Status
 from coopqp.model.cell import RobotCell
 from coopqp.model.limits import BindingLimit, LimitKind
 from coopqp.simulation.evaluation import metrics
@@ -21,7 +20,9 @@ from coopqp.simulation.evaluation.readings import Readings, read_run
 from coopqp.simulation.recording.recording import Recording
 from coopqp.simulation.recording.scene import SceneError, read_object, read_path
 from coopqp.spatial import Array
+from coopqp.visualization.binding_words import Why
 from coopqp.visualization.renderer import Camera, Solid, body_solids, mesh_of, name_places, object_solids
+from coopqp.visualization.run_panel import nearest_pairs
 
 Colour = tuple[int, int, int]
 
@@ -31,14 +32,21 @@ _OBJECT: Colour = (76, 132, 191)
 _PATH: Colour = (0, 114, 178)
 _GOAL: Colour = (120, 126, 134)
 _STICK: Colour = (90, 98, 108)
+_FORCE: Colour = (0, 122, 90)
+#: Opacity of an object that forces are drawn in.
+_CLEAR = 0.5
+#: The grid of the floor, on a white and on a black page.
+_GRID_FINE: Colour = (176, 181, 187)
+_GRID: Colour = (140, 146, 154)
+#: Length of the longest force arrow, as a share of the scene; forces below the first have no arrow, none is larger than
+#: the second [N].
+_LONGEST_ARROW, _LEAST_FORCE, _MOST_FORCE = 0.16, 1e-3, 1e9
 #: Largest number of points of the drawn path.
 _PATH_POINTS = 200
 #: Elevation, azimuth and field of view of the camera [deg].
 _ELEVATION, _AZIMUTH, FIELD_OF_VIEW = 24.0, 125.0, 38.0
 #: Share of the picture that the scene fills, and the smallest ratio of width to height.
-_FILL, _ASPECT = 0.80, 1.4
-#: Height of the readout above the scene, as a share of the diagonal.
-READOUT_SHARE = 0.13
+_FILL, _ASPECT = 0.84, 1.2
 
 
 class Stage:
@@ -60,7 +68,7 @@ class Stage:
         self.readings: Readings = read_run(self.cell, recording)
         self._scene = scene
         self._data = self.cell.model.createData()
-        self._bindings = [*recording.bindings, *recording.bindings[-1:]]  # the last sample repeats the last step
+        self._why = Why(recording)
         self._links: dict[int, Any] = {}  # frame of each joint with shapes
         self._meshes: dict[int, list[tuple[Any, Colour]]] = defaultdict(list)  # by joint
         self._sticks: list[tuple[Any, list[int]]] = []
@@ -74,6 +82,7 @@ class Stage:
         self._bodies = body_solids(recording.metadata)
         self._standing: list[tuple[str, Any, Colour]] = []  # all bodies by name, to mark them
         self._nearest = _nearest(recording.metadata)
+        self._forces = _forces(recording)
         self._cloud = self._points()
         self.low, self.high = self._cloud.min(axis=0), self._cloud.max(axis=0)
         self._add_floor()
@@ -81,6 +90,7 @@ class Stage:
         self._add_object()
         self._add_path()
         self._add_bodies()
+        self._add_forces()
         self.show(0)
 
     def _followed(self) -> list[pin.SE3]:
@@ -116,15 +126,9 @@ class Stage:
             found += [corner for corner in cube @ T.rotation.T + T.translation if np.isfinite(corner).all()]
         return found
 
-    def above(self, share: float) -> Array:
-        """The point (3,) [m] above the middle of the scene, higher than the scene by a share of its diagonal."""
-        x, y, _ = 0.5 * (self.low + self.high)
-        return np.array([x, y, self.high[2] + share * float(np.linalg.norm(self.high - self.low))])
-
     def camera(self) -> tuple[Array, Array]:
-        """Camera position and target (3,) [m] that show the whole scene and the readout above it."""
-        readout = self.above(READOUT_SHARE + 0.06)
-        points = np.array([*self._cloud, readout])
+        """Camera position and target (3,) [m] that show the whole scene."""
+        points = self._cloud
         target = 0.5 * (points.min(axis=0) + points.max(axis=0))
         right, up, away = Camera(target, _AZIMUTH, _ELEVATION, distance=0.0).axes
         # Needed distance of the camera for a point: its depth towards the camera plus its offset / slope.
@@ -142,8 +146,10 @@ class Stage:
             height=span,
             cell_size=0.1,
             section_size=0.5,
-            cell_color=(236, 238, 240),
-            section_color=(205, 210, 215),
+            cell_color=_GRID_FINE,
+            section_color=_GRID,
+            cell_thickness=0.4,
+            section_thickness=0.7,
             position=(middle[0], middle[1], min([0.0, *bases]) - 1e-3),
         )
 
@@ -195,7 +201,10 @@ class Stage:
     def _add_solid(self, place: str, solid: Solid) -> None:
         """Add a body that can be marked."""
         red, green, blue = (round(255 * c) for c in solid.colour)
-        handle = self._scene.add_mesh_simple(place, *_sharp(solid.vertices, solid.triangles), color=(red, green, blue))
+        inside = place.startswith("/object") and self._forces is not None  # forces point into the object
+        corners, triangles = _sharp(solid.vertices, solid.triangles)
+        opacity = _CLEAR if inside else None
+        handle = self._scene.add_mesh_simple(place, corners, triangles, color=(red, green, blue), opacity=opacity)
         self._standing.append((solid.name, handle, (red, green, blue)))
 
     def _add_path(self) -> None:
@@ -231,6 +240,23 @@ class Stage:
             self._gap = self._scene.add_line_segments(
                 "/nearest", self._nearest[1][:1], colors=ALERT, thickness=3.0, thickness_units="screen"
             )
+            self._gap_label = self._scene.add_label("/nearest/distance", "", anchor="bottom-left")
+
+    def _add_forces(self) -> None:
+        """Add an arrow for the force of each arm on the object, and its size."""
+        self._arrows: Any = None
+        if self._forces is None:
+            return
+        size = float(np.linalg.norm(self.high - self.low))
+        largest = max(float(np.linalg.norm(self._forces, axis=2).max(initial=0.0)), _LEAST_FORCE)
+        self._metres_per_newton = _LONGEST_ARROW * size / largest
+        self._arrows = self._scene.add_arrows(
+            "/forces", np.zeros((len(self.cell), 2, 3), dtype=np.float32), colors=_FORCE,
+            shaft_radius=0.004 * size, head_radius=0.009 * size, head_length=0.022 * size,
+        )  # fmt: skip
+        self._force_labels = [
+            self._scene.add_label(f"/forces/{name}", "", anchor="bottom-center") for name in self.cell.arm_names
+        ]
 
     # -- a sample ------------------------------------------------------------------------------------------------
 
@@ -242,18 +268,34 @@ class Stage:
             _place(frame, self._data.oMi[joint])
         for handle, joints in self._sticks:
             handle.points = self._stick_points(joints)
-        tool = metrics.tool_placements(self.cell, [q])[0][0]
-        _place(self._object, tool * self._first_grasp)
+        tools = metrics.tool_placements(self.cell, [q])[0]
+        _place(self._object, tools[0] * self._first_grasp)
+        self._show_forces(sample, tools)
         for label, place in zip(self._names, name_places(self.cell, q), strict=True):
             label.position = place
         if self._gap is not None and self._nearest is not None:
-            times, points = self._nearest
+            times, points, distances = self._nearest
             i = int(np.abs(times - self.recording.time[sample]).argmin())
             self._gap.points = points[i : i + 1]
-        limits = self.limits(sample)
+            self._gap_label.position = points[i].mean(axis=0)
+            self._gap_label.text = f"{1e3 * distances[i]:.3g} mm"
+        limits = self._why.limits(sample)
         if limits != self._shown:
             self._mark(limits)
             self._shown = limits
+
+    def _show_forces(self, sample: int, tools: Sequence[pin.SE3]) -> None:
+        """Arrows of the forces after the step that ends at a sample, from the tools."""
+        if self._arrows is None or self._forces is None:
+            return
+        ends = []
+        for force, tool, label in zip(self._forces[max(sample - 1, 0)], tools, self._force_labels, strict=True):
+            size = float(np.linalg.norm(force))
+            along = tool.rotation @ force if size > _LEAST_FORCE else np.array([0.0, 0.0, _LEAST_FORCE])
+            tip = tool.translation + self._metres_per_newton * along
+            ends.append((tool.translation, tip))
+            label.position, label.text = tip, f"{size:.3g} N"
+        self._arrows.points = np.array(ends, dtype=np.float32)
 
     def put_object(self, pose: pin.SE3) -> None:
         """Show the object at another pose than in the first arm's hand: before a run the arms may not reach it."""
@@ -269,19 +311,6 @@ class Stage:
         last = self._data.oMi[self.cell.tool_joints[arm]]
         tool = (last * self.cell.T_joint_tool[arm]).translation
         return np.array([*zip(before, places, strict=True), (last.translation, tool)], dtype=np.float32)
-
-    def limits(self, sample: int) -> tuple[BindingLimit, ...]:
-        """What binds in the step that starts at a sample: limits of arms and of the path, constraints, distances."""
-        return self._bindings[sample] if self._bindings else ()
-
-    def reason(self, sample: int) -> str:
-        """What the run says about the step that starts at a sample, where it does not track; else empty."""
-        step = min(sample, self.recording.n_steps - 1)
-        if step < 0 or list(Status)[int(self.recording.status[step])] is Status.TRACKING:
-            return ""
-        notes = (note.partition(": ") for note in self.recording.notes)
-        reasons = [text for begun, _, text in notes if begun.isdigit() and int(begun) <= step]
-        return reasons[-1] if reasons else ""
 
     def _mark(self, limits: tuple[BindingLimit, ...]) -> None:
         """Colour the arms with binding limits (their joints strongest) and write the limits under their names.
@@ -320,8 +349,15 @@ def _sharp(vertices: Array, triangles: Any) -> tuple[Any, Any]:
     return corners, np.arange(len(corners), dtype=np.uint32).reshape(-1, 3)
 
 
-def _nearest(metadata: Mapping[str, Any]) -> tuple[Array, Array] | None:
-    """Times (T,) [s] and nearest points (T, 2, 3) [m] of a recording; None if it has none."""
+def _forces(recording: Recording) -> Array | None:
+    """Forces of the arms on the object in the axes of the tools (T, N, 3) [N]; None if they were not recorded."""
+    if recording.wrenches is None or not recording.n_steps:
+        return None
+    return np.clip(np.nan_to_num(recording.wrenches[:, :, :3]), -_MOST_FORCE, _MOST_FORCE)
+
+
+def _nearest(metadata: Mapping[str, Any]) -> tuple[Array, Array, Array] | None:
+    """Times (T,) [s], nearest points (T, 2, 3) [m] and distances (T,) [m] of a recording; None if it has none."""
     entry = metadata.get("clearance")
     if not isinstance(entry, Mapping) or "points_m" not in entry:
         return None
@@ -331,7 +367,9 @@ def _nearest(metadata: Mapping[str, Any]) -> tuple[Array, Array] | None:
         raise SceneError(f"the recording's nearest points are damaged ({error}).") from error
     if points.shape != (len(times), 2, 3) or not len(times) or not np.isfinite(points).all():
         raise SceneError("the recording's nearest points are damaged.")
-    return times, points.astype(np.float32)
+    found = nearest_pairs(metadata)
+    distances = found[1] if found is not None and len(found[1]) == len(times) else np.ptp(points, axis=1).max(axis=1)
+    return times, points.astype(np.float32), distances
 
 
 def _title(arm: str) -> str:

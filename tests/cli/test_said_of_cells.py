@@ -22,7 +22,7 @@ from coopqp.cli.terminal import Reporter
 from coopqp.files.cellfile.hints import load_hints, unit_hints
 from coopqp.visualization import cell_overview as glance
 from coopqp.visualization.cell_overview import shortfall
-from coopqp.visualization.viewer import CellViewer
+from coopqp.visualization.cell_viewer import CellViewer
 
 CELL = """
 name = "said"
