@@ -11,6 +11,7 @@ from browser import NAMES, Page, Picture, find_browser
 from PIL import Image
 
 from coopqp import QPController, Recording, simulate
+from coopqp.cli.main import main as coopqp_command
 from coopqp.scenarios import at_limit
 from coopqp.simulation import describe_object
 from coopqp.visualization import export_html
@@ -27,6 +28,13 @@ def run_at_limit() -> Recording:
     return simulate(controller, q_start=task.q_start, duration=1.5, metadata=metadata)
 
 
+def view_at_limit(file: Path) -> Path:
+    """The same cell before it runs, as `coopqp view` writes it."""
+    if coopqp_command(["view", "at_limit", "--html", str(file), "--quiet"]):
+        raise SystemExit("coopqp view failed")
+    return file
+
+
 def _drawn(picture: Picture) -> bool:
     """True if there is a scene in the middle of the page."""
     height, width = picture.shape[:2]
@@ -34,28 +42,37 @@ def _drawn(picture: Picture) -> bool:
     return bool(middle.std() > 5.0)
 
 
-def shoot_run(recording: Recording, picture: Path, *, share: float, width: int = 1100, height: int = 640) -> None:
-    """A picture of the viewer's page, with the slider at a share of the run."""
+def shoot(
+    write: Callable[[Path], Path], picture: Path, *, share: float | None, width: int = 1100, height: int = 640
+) -> None:
+    """A picture of a page, with the slider at a share of its time; None for a page that stands still.
+
+    Args:
+        write: writes the page to a file.
+        picture: the picture's file.
+    """
     program = find_browser()
     if program is None:
         raise SystemExit(f"no browser ({', '.join(NAMES)}); 'make browser' installs one")
     with tempfile.TemporaryDirectory(ignore_cleanup_errors=True) as folder:  # the browser ends later
-        file = export_html(recording, Path(folder) / "run.html")
+        file = write(Path(folder) / "page.html")
         with Page(program, Path(folder) / "profile", width=width, height=height) as page:
             page.open(file.as_uri())
             page.wait_until(lambda: page.evaluate(f"!!document.querySelector('{TRACK}')"))
             page.wait_until(lambda: page.evaluate("!!document.querySelector('canvas')"))
             page.wait_until(lambda: _drawn(page.screenshot()), timeout=90)
             page.evaluate("document.querySelectorAll('[class*=Notification-root] button').forEach(b => b.click())")
-            page.pause()
-            track = page.box(TRACK)
-            page.press(track["left"] + share * track["width"], track["top"] + 0.5 * track["height"])
+            if share is not None:
+                page.pause()
+                track = page.box(TRACK)
+                page.press(track["left"] + share * track["width"], track["top"] + 0.5 * track["height"])
             Image.fromarray(page.settled().astype("uint8")).quantize(200).save(picture, optimize=True)
 
 
 #: Pictures by the name of the command.
 PICTURES: dict[str, Callable[[Path], None]] = {
-    "viewer": lambda out: shoot_run(run_at_limit(), out / "viewer.png", share=0.6)
+    "viewer": lambda out: shoot(lambda file: export_html(run_at_limit(), file), out / "viewer.png", share=0.3),
+    "cell": lambda out: shoot(view_at_limit, out / "view_cell.png", share=None),
 }
 
 if __name__ == "__main__":

@@ -18,6 +18,14 @@ from coopqp.visualization.cell_overview import Glance, shortfall
 from coopqp.visualization.run_view import ALERT, Stage
 from coopqp.visualization.viewer import LiveViewer, frame_camera, offline, plain, write_page
 
+_REACH = (124, 130, 138)
+#: What the page explains. Nothing on it plays.
+_LEGEND = (
+    '<br><i style="background: #0072b2; height: .25em; vertical-align: .2em"></i>path of the object and of the grasps'
+    "<br>dashed: how far an arm comes at the height of its grasp; red: not far enough<br>Drag to turn, scroll to zoom."
+    "<style>.mantine-Paper-root:has([class*=Slider-root]) { display: none !important; }</style>"
+)
+
 
 class CellViewer(LiveViewer):
     """Shows a cell before it runs: its start, its path, how far its arms come, and what the check says; with Run.
@@ -87,7 +95,12 @@ class CellViewer(LiveViewer):
 
 
 def mark_glance(scene: Any, found: Glance) -> None:
-    """Add the reach of the arms that miss their grasps to a scene of viser, and by how much they miss them."""
+    """Add the reach of the arms at the heights of their grasps to a scene of viser, and by how much they miss them."""
+    for name, wanted in found.grasps().items():
+        ring = found.reaches[name].ring(wanted[2]) if name in found.reaches else np.empty((0, 3))
+        if name not in found.short and len(ring):
+            dashes = np.stack([ring[:-1:2], ring[1::2]], axis=1).astype(np.float32)
+            scene.add_line_segments(f"/reach/{name}", dashes, colors=_REACH, thickness=1.5, thickness_units="screen")
     for name, (tool, wanted) in found.targets().items():
         ring = found.reaches[name].ring(wanted[2]) if name in found.reaches else np.empty((0, 3))
         segments = np.stack([ring[:-1:2], ring[1::2]], axis=1) if len(ring) else np.empty((0, 2, 3))
@@ -115,4 +128,4 @@ def export_glance(found: Glance, file: str | Path, *, more: str = "", sticks: bo
         document: str = serializer.as_html()
     verdict, *lines = [*found.lines(), *more.splitlines()]
     text = "<br>".join(html.escape(line) for line in lines)
-    return write_page(page, document, f"{found.name.replace('_', ' ')}: {verdict}", text)
+    return write_page(page, document, f"{found.name.replace('_', ' ')}: {verdict}", text, legend=_LEGEND)

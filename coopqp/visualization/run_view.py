@@ -185,7 +185,7 @@ class Stage:
         if joint not in self._links:
             self._links[joint] = self._scene.add_frame(f"/links/{joint}", show_axes=False)
         place = f"/links/{joint}/{name.replace('/', '_')}"
-        mesh = self._scene.add_mesh_simple(place, *_sharp(vertices, triangles), color=colour)
+        mesh = self._scene.add_mesh_simple(place, *_compact(vertices, triangles), color=colour, flat_shading=True)
         self._meshes[joint].append((mesh, colour))
 
     def _add_object(self) -> None:
@@ -202,9 +202,9 @@ class Stage:
         """Add a body that can be marked."""
         red, green, blue = (round(255 * c) for c in solid.colour)
         inside = place.startswith("/object") and self._forces is not None  # forces point into the object
-        corners, triangles = _sharp(solid.vertices, solid.triangles)
-        opacity = _CLEAR if inside else None
-        handle = self._scene.add_mesh_simple(place, corners, triangles, color=(red, green, blue), opacity=opacity)
+        mesh = _compact(solid.vertices, solid.triangles)
+        look = {"color": (red, green, blue), "opacity": _CLEAR if inside else None, "flat_shading": True}
+        handle = self._scene.add_mesh_simple(place, *mesh, **look)
         self._standing.append((solid.name, handle, (red, green, blue)))
 
     def _add_path(self) -> None:
@@ -343,10 +343,10 @@ def _concerns(limit: BindingLimit, arm: str) -> bool:
     return limit.arm == arm or any(name.startswith(f"{arm}/") for name in limit.between)
 
 
-def _sharp(vertices: Array, triangles: Any) -> tuple[Any, Any]:
-    """The vertices and triangles of a mesh with sharp edges: each triangle has its own corners."""
-    corners = vertices[triangles].reshape(-1, 3).astype(np.float32)
-    return corners, np.arange(len(corners), dtype=np.uint32).reshape(-1, 3)
+def _compact(vertices: Array, triangles: Any) -> tuple[Any, Any]:
+    """A mesh in 32 bits; vertices that are equal in them are one."""
+    points, index = np.unique(np.asarray(vertices, dtype=np.float32), axis=0, return_inverse=True)
+    return points, index.reshape(-1)[np.asarray(triangles)].astype(np.uint32)
 
 
 def _forces(recording: Recording) -> Array | None:
