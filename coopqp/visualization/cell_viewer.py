@@ -13,10 +13,11 @@ from typing import Any
 import numpy as np
 
 from coopqp.errors import CoopqpError
+from coopqp.output import check_file, write_files
 from coopqp.simulation.recording.recording import Recording
 from coopqp.visualization.cell_overview import Glance, shortfall
 from coopqp.visualization.run_view import ALERT, Stage
-from coopqp.visualization.viewer import LiveViewer, frame_camera, offline, plain, write_page
+from coopqp.visualization.viewer import LiveViewer, frame_camera, offline, page_of, plain
 
 _REACH = (124, 130, 138)
 #: What the page explains. Nothing on it plays.
@@ -121,11 +122,14 @@ def _glance_stage(server: Any, found: Glance, *, sticks: bool) -> Stage:
 def export_glance(found: Glance, file: str | Path, *, more: str = "", sticks: bool = False) -> Path:
     """Write what :class:`CellViewer` shows as one offline page, without Run. Errors as of :func:`export_html`."""
     page = Path(file)
-    with offline(page) as server:
+    check_file(page)
+    with offline() as server:
         _glance_stage(server, found, sticks=sticks)
         serializer = server.get_scene_serializer()
         serializer.insert_sleep(1.0)
         document: str = serializer.as_html()
     verdict, *lines = [*found.lines(), *more.splitlines()]
     text = "<br>".join(html.escape(line) for line in lines)
-    return write_page(page, document, f"{found.name.replace('_', ' ')}: {verdict}", text, legend=_LEGEND)
+    title = f"{found.name.replace('_', ' ')}: {verdict}"
+    write_files({page: page_of(document, title, text, legend=_LEGEND).encode()})
+    return page

@@ -55,6 +55,12 @@ DRAWN_SPANS = 4000
 _FAR = 1e12
 
 
+def paler(colour: str, share: float = 0.55) -> str:
+    """A colour mixed with a share of white, behind curves."""
+    parts = (int(colour[i : i + 2], 16) for i in (1, 3, 5))
+    return "#" + "".join(f"{round((1.0 - share) * part + share * 255.0):02x}" for part in parts)
+
+
 def require_matplotlib() -> None:
     """Raise MissingExtraError unless Matplotlib can be imported."""
     needed("matplotlib.figure", "plot", "matplotlib")

@@ -43,8 +43,7 @@ FRAMES_PER_SECOND, MAX_FRAMES = 25.0, 500
 PAUSE_AT_END = 1.5
 #: Redraws per second of the live viewer.
 LIVE_RATE = 30.0
-#: What the page of a run explains, and what each page does.
-_HOW_TO = "<br>Drag to turn, scroll to zoom."
+#: What the page of a run explains, and what makes a page dark.
 _LEGEND = (
     '<br><i style="background: #4c84bf"></i>the object (grey: its start and end)<br>'
     '<i style="background: #0072b2; height: .25em; vertical-align: .2em"></i>paths of its frame and of the grasps<br>'
@@ -80,11 +79,9 @@ def _serve(viser: Any, host: str, port: int) -> Any:
 
 
 @contextlib.contextmanager
-def offline(page: Path) -> Iterator[Any]:
+def offline() -> Iterator[Any]:
     """A server whose scene becomes a page."""
-    viser = require_viser()
-    check_file(page)
-    server = _serve(viser, "127.0.0.1", 0)
+    server = _serve(require_viser(), "127.0.0.1", 0)
     try:
         yield server
     finally:
@@ -145,7 +142,14 @@ def export_html(
         MissingExtraError: viser is not installed.
     """
     page = Path(file)
-    with offline(page) as server:
+    check_file(page)
+    write_files({page: run_page(recording, sticks=sticks, progress=progress).encode()})
+    return page
+
+
+def run_page(recording: Recording, *, sticks: bool = False, progress: Callable[[int, int], None] | None = None) -> str:
+    """The page of :func:`export_html` as one HTML document that loads nothing else. Same arguments and errors."""
+    with offline() as server:
         stage = Stage(server.scene, recording, sticks=sticks)
         frame_camera(server, stage)
         panel = RunPanel(stage.cell, recording, stage.readings)
@@ -163,13 +167,11 @@ def export_html(
         document: str = serializer.as_html()
     name, made = title_of(recording)
     beside = panel_page(panel, moments, until=panel.end + PAUSE_AT_END)
-    return write_page(page, document, name, html.escape(made), beside=beside, legend=_LEGEND)
+    return page_of(document, name, html.escape(made), beside=beside, legend=_LEGEND)
 
 
-def write_page(
-    page: Path, document: str, title: str, subtitle: str, *, beside: str = "", legend: str = _HOW_TO
-) -> Path:
-    """Write a page with a card of a title; subtitle, legend and what stands beside the scene are HTML.
+def page_of(document: str, title: str, subtitle: str, *, legend: str, beside: str = "") -> str:
+    """A scene's document with a card of a title; subtitle, legend and what stands beside the scene are HTML.
 
     The page is dark where its reader's browser is.
     """
@@ -178,8 +180,7 @@ def write_page(
     before, found, rest = document.partition("</head>")
     document = f"{before}{_DARK}{found}{rest}" if found else document
     head, found, tail = document.rpartition("</body>")
-    write_files({page: f"{head}{card}{found}{tail}".encode() if found else f"{document}{card}".encode()})
-    return page
+    return f"{head}{card}{found}{tail}" if found else f"{document}{card}"
 
 
 class LiveViewer:
