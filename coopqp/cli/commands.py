@@ -367,7 +367,7 @@ def _add_report(commands: Any) -> None:
     )
     parser.add_argument("what", metavar="RUN", help=_RUN_HELP)
     parser.add_argument("--out", type=Path, metavar="FILE", help="the page (NAME_report.html, beside a recording)")
-    parser.add_argument("--scene", action="store_true", help="with the 3D scene that plays (extra viewer; 1 MB more)")
+    parser.add_argument("--scene", action="store_true", help="with the 3D scene that plays (extra viewer)")
     _add_meshes(parser)
     for name, unit, text in (
         ("chain-mm", "MM", "chain error (0.1)"),
