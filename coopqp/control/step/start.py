@@ -12,6 +12,7 @@ from coopqp.model.cell import RobotCell, slides
 from coopqp.model.grasp import Grasp
 from coopqp.model.state import CellState
 from coopqp.paths.guarded import GuardedPath
+from coopqp.paths.moving_grasps import grasp_at
 from coopqp.paths.path import ObjectPath
 from coopqp.spatial import Array
 
@@ -47,6 +48,7 @@ def check_start(
     if start is None:
         raise InvalidInputError(guarded.problem, "reset", "A path needs a pose where it starts.")
     where = f"its path at {clock:g} s" if clock > 0.0 else "the start of its path"
+    grasp = grasp_at(grasp, path, clock)
     for name, O in zip(cell.arm_names, grasp.carried(CellState(cell, configuration)), strict=True):
         error = pin.log6(start.actInv(O)).vector
         d, a = float(np.linalg.norm(error[:3])), float(np.linalg.norm(error[3:]))
