@@ -155,12 +155,14 @@ class Turns(Role):
         angle: angle [rad].
         axis: direction of the pin in the object frame (3,); by default the z axis of ``about``.
         time_law: progress over the phase.
+        holds: False for a tool that goes round without holding the object, as a torch around a seam.
     """
 
     about: Placement | ArrayLike
     angle: float
     axis: Sequence[float] | None = None
     time_law: TimeLaw | str = TimeLaw.QUINTIC
+    holds: bool = True
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "angle", as_scalar(self.angle, "Turns: angle", low=-np.pi, high=np.pi))

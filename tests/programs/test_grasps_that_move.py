@@ -170,17 +170,17 @@ def test_two_arms_open_a_part_while_a_third_lifts_it(kernel: str) -> None:
 def test_kernels_agree_on_tools_that_move() -> None:
     task, program = pliers()
     first, second = (
-        QPController(task.cell, task.grasp, program, dt=0.004, options={"kernel": kernel}) for kernel in KERNELS
+        QPController(task.cell, task.grasp, program, dt=0.006, options={"kernel": kernel}) for kernel in KERNELS
     )
     for controller in (first, second):
         controller.reset(task.q_start)
-    for i in range(700):
-        if i == 250:
+    for i in range(350):
+        if i == 120:
             for controller in (first, second):
                 controller.set_override(0.3)
-        if i == 300:
+        if i == 150:
             second = copy.copy(second)
-        if i == 400:
+        if i == 220:
             for controller in (first, second):
                 controller.reverse()
         noise = 1e-5 * np.sin(0.1 * i + np.arange(task.cell.nq))

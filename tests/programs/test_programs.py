@@ -9,20 +9,22 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 import pytest
-from marks import slow_but_first
+from marks import slow_but_first, slow_unless
 from runs import limited_once
 
-from coopqp import ControlStep, Grasp, HoldPath, InvalidInputError, LinePath, QPController, Status
+from coopqp import ControlStep, Grasp, HoldPath, InvalidInputError, LinePath, QPController, Status, check_path
 from coopqp.errors import UnknownNameError
 from coopqp.forces import ForceOptions
 from coopqp.native import available_kernels
 from coopqp.programs import Holds, Phase, Program, Travels, Turns, Waits, Works
-from coopqp.scenarios import paper_lift
+from coopqp.scenarios import PROGRAMS, paper_lift
 from coopqp.simulation import check_run, simulate
 
 KERNELS = available_kernels()
 both = pytest.mark.parametrize("kernel", slow_but_first(KERNELS))
 GATE = 1.0
+#: Scenarios with members of one joint, which the core leaves to the definition.
+FEW_JOINTS = ("positioner", "conveyor")
 
 
 def lift() -> Any:
@@ -223,3 +225,37 @@ def test_forces_are_refused_by_name_where_arms_let_go() -> None:
     with pytest.raises(InvalidInputError, match="let go"):
         ForceController(controller, ForceOptions(stiffness=1e5))
     assert isinstance(program.grasp_at(task.grasp, 1.0), Grasp)
+
+
+@pytest.mark.parametrize("name", slow_unless(lambda name: name not in FEW_JOINTS, PROGRAMS))
+def test_every_scenario_that_is_a_program_runs_to_its_end(name: str) -> None:
+    task = PROGRAMS[name]()
+    controller = QPController(task.cell, task.grasp, task.path, dt=0.01)
+    assert controller.kernel == ("plain" if name in FEW_JOINTS or "compiled" not in KERNELS else "compiled")
+    recording = simulate(controller, q_start=task.q_start)
+    assert recording.metadata["finished"]
+    assert check_run(recording, task.cell).ok
+    assert check_path(task.cell, task.grasp, task.path, q_start=task.q_start).feasible
+
+
+@pytest.mark.skipif("compiled" not in KERNELS, reason="compares the kernels")
+@pytest.mark.parametrize("name", [name for name in PROGRAMS if name not in FEW_JOINTS])
+def test_kernels_agree_on_every_program_that_the_core_takes(name: str) -> None:
+    task = PROGRAMS[name]()
+    both = [QPController(task.cell, task.grasp, task.path, dt=0.01, options={"kernel": k}) for k in KERNELS]
+    for controller in both:
+        controller.reset(task.q_start)
+    for i in range(150):
+        a, b = (controller.step() for controller in both)
+        assert np.abs(a.velocity - b.velocity).max() < 1e-8, i
+        assert a.status is b.status
+
+
+def test_the_leader_leaves_an_object_that_moves_and_the_path_speed_stays() -> None:
+    task = PROGRAMS["hand_over"]()
+    controller = QPController(task.cell, task.grasp, task.path, dt=0.002)
+    controller.reset(task.q_start)
+    steps = run(controller)
+    assert steps[-1].finished
+    assert min(step.rate for step in steps if 0.3 < step.clock < 2.8) > 0.8
+    assert max(off_path(task, task.path, step) for step in steps) < 5e-7  # type: ignore[arg-type]
