@@ -15,6 +15,8 @@ from coopqp.errors import InvalidInputError
 from coopqp.model.cell import RobotCell
 from coopqp.model.limits import BindingLimit
 from coopqp.paths.moving_grasps import refuse_motion
+from coopqp.paths.path import ObjectPath
+from coopqp.programs.program import Program
 from coopqp.simulation.plants.kinematic import KinematicPlant, Plant
 from coopqp.simulation.recording.notes import Notes
 from coopqp.simulation.recording.recording import Recording, entries_of
@@ -155,6 +157,11 @@ def _stands(step: ControlStep) -> bool:
     return step.status in (Status.BLOCKED, Status.HOLDING, Status.FAULT)
 
 
+def _phases_of(path: ObjectPath) -> list[dict[str, Any]]:
+    """The phases of a program as plain data; none for other paths."""
+    return path.record() if isinstance(path, Program) else []
+
+
 @final
 class RunRecorder:
     """Gathers the steps of a run."""
@@ -234,6 +241,7 @@ class RunRecorder:
                 "sources": [arm.source for arm in cell.arms],
                 "scene": describe_cell(cell),
                 "path": describe_path(controller.path),
+                **({"phases": phases} if (phases := _phases_of(controller.path)) else {}),
                 "binding": self._binding,
                 "begun": self._begun,
                 "calls": self._calls,
