@@ -247,8 +247,8 @@ class QPController(OperatorCalls):
 
     def _first_rate(self, clock: float) -> float | None:
         """The rate that a path begins with: full where the object rests there; None for the loop's own."""
-        twist = GuardedPath(self.path).twist(clock)
-        if twist is None or np.any(twist):
+        motion = GuardedPath(self.path).motion(clock)
+        if motion is None or np.any(motion):
             return None
         return 0.0 if self.paused else self.override
 
@@ -286,9 +286,14 @@ class QPController(OperatorCalls):
         loop = self._loop
         if not np.isfinite(self.cell.limits.acceleration).any():
             return max(loop.rate, 0.0 if self.paused else self.override)
-        now, ahead = GuardedPath(self._operator.way.path).twist(loop.clock), GuardedPath(path).twist(clock)
+        now, ahead = GuardedPath(self._operator.way.path).motion(loop.clock), GuardedPath(path).motion(clock)
         if now is None or ahead is None:
             return None
+        if now.ndim + ahead.ndim > 2:  # tools move on the object, too
+            now, ahead = (
+                np.zeros((1 + len(self.cell), 6)) + np.eye(1 + len(self.cell), 1) * x if x.ndim == 1 else x
+                for x in (now, ahead)
+            )
         return rate_into(loop.rate, now, ahead, length=self.options.weights.length)
 
     # -- speed override and pause ----------------------------------------------------------------------------------

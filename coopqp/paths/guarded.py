@@ -148,6 +148,13 @@ class GuardedPath:
         """Body twist at ``clock`` [m/s, rad/s]; None if the path fails."""
         return self._ask(self.path.twist, clock, "twist") if self.own else self.path.twist(clock)
 
+    def motion(self, clock: float) -> Array | None:
+        """The twist of the object (6,), with those of the tools on it (1 + N, 6); None if the path fails."""
+        twist = self.twist(clock)
+        if twist is None or self.grasps is None:
+            return twist
+        return np.vstack([twist, self.grasps.twists(clock)])
+
     def _ask(self, ask: Callable[[float], Any], clock: float, kind: str) -> Any:
         """What a user's path returns at ``clock`` [s], checked; None if it fails."""
         self.problem, at = "", f"at its clock {clock:.6g} s"

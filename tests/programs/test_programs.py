@@ -259,3 +259,16 @@ def test_the_leader_leaves_an_object_that_moves_and_the_path_speed_stays() -> No
     assert steps[-1].finished
     assert min(step.rate for step in steps if 0.3 < step.clock < 2.8) > 0.8
     assert max(off_path(task, task.path, step) for step in steps) < 5e-7  # type: ignore[arg-type]
+
+
+def test_the_way_back_waits_until_tools_rest_where_the_object_does() -> None:
+    task = PROGRAMS["pliers"]()
+    controller = QPController(task.cell, task.grasp, task.path, dt=0.005)
+    controller.reset(task.q_start)
+    while controller.program_clock < 3.8:  # the object rests, and two tools close the part
+        controller.step()
+    controller.reverse(2.0)
+    steps = [controller.step() for _ in range(200)]
+    assert max(step.given_up.chain for step in steps) == 0.0
+    assert max(off_path(task, task.path, step) for step in steps) < 5e-7  # type: ignore[arg-type]
+    assert steps[-1].sense == -1

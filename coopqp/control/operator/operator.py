@@ -116,8 +116,8 @@ class Operator:
     def rests(self) -> bool:
         """Whether the object rests, and its joints may."""
         loop = self._loop
-        twist = GuardedPath(self.way.path).twist(loop.clock) if loop.rate > 0.0 else None
-        moves = twist is not None and np.abs(loop.rate * twist).max() > STILL_OBJECT
+        motion = GuardedPath(self.way.path).motion(loop.clock) if loop.rate > 0.0 else None
+        moves = motion is not None and np.abs(loop.rate * motion).max() > STILL_OBJECT
         return not moves and self._ramp_time.admits(loop.velocity)
 
     @property
@@ -348,9 +348,9 @@ class Operator:
 
     def _first_rate(self, way: Way, clock: float) -> float:
         """The rate that a path begins with from rest: full where the path itself begins at rest."""
-        twist = GuardedPath(way.path).twist(clock)
+        motion = GuardedPath(way.path).motion(clock)
         override, paused = self._loop.reins
-        return 0.0 if paused or twist is None or np.any(twist) else float(override)
+        return 0.0 if paused or motion is None or np.any(motion) else float(override)
 
     def _follow(self, way: Way, clock: float, rate: float) -> None:
         if way.sense > 0 and self.way.sense < 0 and self.trail is not None:

@@ -138,13 +138,14 @@ def rate_into(rate: float, now: Array, ahead: Array, *, length: float) -> float 
 
     Args:
         rate: σ on the present path.
-        now, ahead: twists of both paths at rate 1, in the object's own frame (6,) [m/s, rad/s].
+        now, ahead: twists of both paths at rate 1, in the object's own frame (6,) [m/s, rad/s]; or of the object and of
+            all tools on it (1 + N, 6).
         length: weighs rotation against translation [m].
     """
     metric = np.array([1.0] * 3 + [length**2] * 3)
-    before, square = float(now @ (metric * now)), float(ahead @ (metric * ahead))
+    before, square = float(np.vdot(now, metric * now)), float(np.vdot(ahead, metric * ahead))
     if rate == 0.0 or (square < _RESTS <= before):
         return None
     if before < _RESTS and square < _RESTS:  # both rest at any rate
         return rate
-    return min(max(rate * float(ahead @ (metric * now)) / square, 0.0), 1.0)
+    return min(max(rate * float(np.vdot(ahead, metric * now)) / square, 0.0), 1.0)
