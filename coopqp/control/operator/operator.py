@@ -29,8 +29,8 @@ from coopqp.paths.path import ObjectPath
 from coopqp.paths.section import Section
 from coopqp.paths.servo import ServoPath
 
-#: Calls that are remembered until they are read.
-_MOST_EVENTS = 10_000
+#: Calls that are remembered until they are read: a recorder reads them in every step, and without one nobody does.
+_MOST_EVENTS = 100
 #: Length of the way to a gate at which the object is already [s].
 _GATE_WAY = 1e-3
 #: Steps between two looks at most.
