@@ -72,6 +72,7 @@ PROGRAMS: Mapping[str, tuple[str, ...]] = {
     "python docs/examples/32_operator.py --out {out}": ("docs/tutorials/operator.png",),
     "python docs/examples/33_conveyor.py --out {out}": ("docs/tutorials/conveyor.png",),
     "python docs/examples/34_slowest_arm.py --out {out}": ("docs/howto/drive.png",),
+    "python docs/examples/36_one_robot.py --out {out}": ("docs/tutorials/one_robot.png",),
 }
 #: Programs of this kind need Chromium (`make browser`).
 NEEDS_BROWSER = "docs/screenshots.py"

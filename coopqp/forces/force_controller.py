@@ -90,6 +90,7 @@ class ForceController(OperatorCalls):
     def _build(self, controller: QPController | PseudoInverseController, options: ForceOptions) -> None:
         self.controller, self.options = controller, options
         self.cell, self.grasp, self.dt = controller.cell, controller.grasp, controller.dt
+        self.cell.refuse_shared("ForceController")
         self._relaxation = Relaxation(
             self.cell, self.grasp, options, dt=controller.dt, shares=controller.shares, kernel=controller.kernel
         )

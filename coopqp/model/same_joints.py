@@ -2,7 +2,8 @@
 
 A description with two arms holds every joint of the robot. Given twice, as an arm with the left tool and as one with
 the right tool, each of its joints is there twice, and would get two commands. A joint is the same one if its name, its
-kind and its place in the world are the same, with all joints at zero.
+kind and its place in the world are the same, with all joints at zero. Arms of one :class:`coopqp.Robot` may share
+joints: a cell has each of them once.
 """
 
 from __future__ import annotations
@@ -24,6 +25,8 @@ from coopqp.spatial import Array
 _SAME = 1e-6
 #: Most joints that a message names.
 _NAMED = 6
+#: Fewest joints of its own of an arm that shares others: the object's motion leaves it no choice of the shared ones.
+_LEAST_OWN = 6
 
 
 @dataclass(frozen=True, eq=False)
@@ -90,19 +93,54 @@ def without_copies(arms: Sequence[Arm]) -> tuple[tuple[Arm, ...], tuple[str, ...
         InvalidInputError: a joint moves the tools of two arms, or is locked in one of them only, or elsewhere.
     """
     if len(arms) < 2:
-        return tuple(arms), ()
+        return tuple(replace(arm, shared=()) if arm.shared else arm for arm in arms), ()
     joints = [_joints(k, arm) for k, arm in enumerate(arms)]
     fixed = [_fixed(arm) for arm in arms]
+    shared: list[set[str]] = [set() for _ in arms]
     for a, b in itertools.combinations(range(len(arms)), 2):
-        _refuse_shared((arms[a], arms[b]), (joints[a], joints[b]), (fixed[a], fixed[b]))
+        if arms[a].robot and arms[a].robot == arms[b].robot:
+            both = _shared_by((arms[a], arms[b]), (joints[a], joints[b]))
+            shared[a] |= both
+            shared[b] |= both
+        else:
+            _refuse_shared((arms[a], arms[b]), (joints[a], joints[b]), (fixed[a], fixed[b]))
     out: list[Arm] = []
     locked: list[str] = []
     for k, arm in enumerate(arms):
         others = [joint for own in joints for joint in own if joint.arm != k and (joint.carries or joint.arm < k)]
         twice = [j for j in joints[k] if not j.carries and any(j.is_same(other) for other in others)]
-        out.append(_reduced(arm, twice) if twice else arm)
+        alone = _reduced(arm, twice) if twice else arm
+        names = tuple(joint.name for joint in joints[k] if joint.name in shared[k])
+        out.append(alone if alone.shared == names else replace(alone, shared=names))
         locked += [f"{arm.name}/{joint.name}" for joint in twice]
     return tuple(out), tuple(locked)
+
+
+def _shared_by(arms: tuple[Arm, Arm], joints: tuple[list[_Joint], list[_Joint]]) -> set[str]:
+    """Names of the joints that move the tools of two arms of one robot.
+
+    Raises:
+        InvalidInputError: the arms stand on two bases, or one of them has no joint of its own.
+    """
+    if np.abs(arms[0].T_world_base.homogeneous - arms[1].T_world_base.homogeneous).max() > _SAME:
+        raise InvalidInputError(
+            f"arms '{arms[0].name}' and '{arms[1].name}' of robot '{arms[0].robot}' stand on two bases",
+            "RobotCell",
+            "Move the whole robot: give it another T_world_base.",
+        )
+    first, second = ([joint for joint in own if joint.carries] for own in joints)
+    both = {a.name for a in first if any(a.is_same(b) for b in second)}
+    for arm, own in zip(arms, (first, second), strict=True):
+        left = len(own) - len(both)
+        if both and left < _LEAST_OWN:
+            locks = _locks(arm, [joint for joint in own if joint.name in both])
+            raise InvalidInputError(
+                f"arm '{arm.name}' of robot '{arm.robot}' has {left} joints that move no other arm's tool; an arm that "
+                f"shares joints needs {_LEAST_OWN} of its own",
+                "RobotCell",
+                f"Choose another tool frame, or lock what it shares: {locks}.",
+            )
+    return both
 
 
 def _joints(k: int, arm: Arm) -> list[_Joint]:
@@ -146,7 +184,7 @@ def _refuse_shared(
             f"{said} {'moves' if one else 'move'} the tools of {names}: same name, kind and place in the world, so "
             f"{'it is one joint' if one else 'they are joints'} of one robot and would get two commands",
             "RobotCell",
-            f"Lock {'it' if one else 'them'} in both arms: {remedy}.",
+            f"Lock {'it' if one else 'them'} in both arms: {remedy}. Or give both as arms of one robot: coopqp.Robot.",
         )
     for (free, held), own, other in (((0, 1), first, fixed[1]), ((1, 0), second, fixed[0])):
         for joint in own:
@@ -195,9 +233,9 @@ def _reduced(arm: Arm, joints: list[_Joint]) -> Arm:
     shapes = []
     for kept in (arm.visual, arm.collision):
         geometry = pin.GeometryModel() if kept is None else kept.copy()
-        for shape in list(geometry.geometryObjects):
-            if ids & set(model.supports[shape.parentJoint]):
-                geometry.removeGeometryObject(shape.name)
+        carried = [shape.name for shape in geometry.geometryObjects if ids & set(model.supports[shape.parentJoint])]
+        for name in carried:  # each removal moves the others
+            geometry.removeGeometryObject(name)
         shapes.append(geometry)
     stay = np.array([v for i in range(1, model.njoints) if i not in ids for v in [model.joints[i].idx_v]], dtype=int)
     limits = JointLimits(*(getattr(arm.limits, field)[stay] for field in LIMIT_FIELDS))
