@@ -40,6 +40,7 @@ class _Joint:
         place: its frame in the world (4, 4), with all joints at zero.
         axis: its twist in that frame (6,).
         carries: True if it moves the tool.
+        behind: number of joints before it that move the tool.
     """
 
     arm: int
@@ -49,6 +50,7 @@ class _Joint:
     place: Array
     axis: Array
     carries: bool
+    behind: int
 
     def is_same(self, other: _Joint) -> bool:
         """Same name, kind, place and axis."""
@@ -58,6 +60,10 @@ class _Joint:
             and bool(np.abs(self.place - other.place).max() <= _SAME)
             and bool(np.abs(self.axis - other.axis).max() <= _SAME)
         )
+
+    def gives_way_to(self, other: _Joint) -> bool:
+        """Whether this joint, which moves no tool, is left to another arm: to that on whose chain it stands."""
+        return other.carries or (other.behind, -other.arm) > (self.behind, -self.arm)
 
     def is_locked_as(self, fixed: _Fixed) -> bool:
         """The fixed frame is where this joint moves its own frame to at some position."""
@@ -107,8 +113,8 @@ def without_copies(arms: Sequence[Arm]) -> tuple[tuple[Arm, ...], tuple[str, ...
     out: list[Arm] = []
     locked: list[str] = []
     for k, arm in enumerate(arms):
-        others = [joint for own in joints for joint in own if joint.arm != k and (joint.carries or joint.arm < k)]
-        twice = [j for j in joints[k] if not j.carries and any(j.is_same(other) for other in others)]
+        others = [joint for own in joints for joint in own if joint.arm != k]
+        twice = [j for j in joints[k] if not j.carries and any(j.gives_way_to(o) and j.is_same(o) for o in others)]
         alone = _reduced(arm, twice) if twice else arm
         names = tuple(joint.name for joint in joints[k] if joint.name in shared[k])
         out.append(alone if alone.shared == names else replace(alone, shared=names))
@@ -151,7 +157,8 @@ def _joints(k: int, arm: Arm) -> list[_Joint]:
     for i, axis in enumerate(joint_axes(model), start=1):
         place = (arm.T_world_base * data.oMi[i]).homogeneous
         slides = bool(np.linalg.norm(axis[3:]) < 0.5)
-        out.append(_Joint(k, i, model.names[i], slides, place, axis, i in carrying))
+        behind = len(carrying & set(model.supports[i]))
+        out.append(_Joint(k, i, model.names[i], slides, place, axis, i in carrying, behind))
     return out
 
 

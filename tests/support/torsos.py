@@ -54,8 +54,8 @@ def robot_of(torso: tuple[tuple[str, str], ...], folder: Path, **options: object
 def lift_cell(**options: object) -> tuple[RobotCell, Grasp]:
     """The lift with two arms, which hold a bar along y from its ends."""
     tools = {"left": "left_tool", "right": "right_tool"}
-    limits = {"acceleration_limits": 5.0, **options}
-    robot = Robot(robot_path("lift2"), tools, name="lift", geometry=False, **limits)  # type: ignore[arg-type]
+    limits = {"acceleration_limits": 5.0, "geometry": False, **options}
+    robot = Robot(robot_path("lift2"), tools, name="lift", **limits)  # type: ignore[arg-type]
     ends = ((0.3, 0.5 * np.pi), (-0.3, -0.5 * np.pi))
     grasp = Grasp(tuple(pin.SE3(pin.rpy.rpyToMatrix(a, 0.0, 0.0), np.array([0.0, y, 0.0])) for y, a in ends))
     return RobotCell([robot]), grasp
