@@ -76,6 +76,7 @@ PROGRAMS: Mapping[str, tuple[str, ...]] = {
     "python docs/examples/39_grasp_again.py --out {out}": ("docs/tutorials/grasp_again.png",),
     "python docs/examples/40_positioner.py --out {out}": ("docs/tutorials/positioner.png",),
     "python docs/examples/34_slowest_arm.py --out {out}": ("docs/howto/drive.png",),
+    "python docs/examples/36_one_robot.py --out {out}": ("docs/tutorials/one_robot.png",),
 }
 #: Programs of this kind need Chromium (`make browser`).
 NEEDS_BROWSER = "docs/screenshots.py"

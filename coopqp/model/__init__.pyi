@@ -1,4 +1,4 @@
-from .cell import Arm as Arm, JointLimits as JointLimits, RobotCell as RobotCell
+from .cell import Arm as Arm, JointLimits as JointLimits, Robot as Robot, RobotCell as RobotCell
 from .chain import Chain as Chain
 from .common_error import CommonError as CommonError
 from .grasp import Grasp as Grasp, plate_from_centroid as plate_from_centroid, plate_from_points as plate_from_points

@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 import importlib
 import warnings
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -25,7 +25,7 @@ from coopqp.drivers.driver import RobotDriver
 from coopqp.drivers.sim import SimDriver, SimOptions
 from coopqp.errors import CoopqpError, InvalidInputError, MissingExtraError, StartWarning, UnknownNameError
 from coopqp.files.cellfile.bodies import build_scene
-from coopqp.files.cellfile.build_arm import build_arm, build_placement, build_stiffness, in_radians
+from coopqp.files.cellfile.build_arm import build_cell, build_placement, build_stiffness, in_radians
 from coopqp.files.cellfile.build_phases import build_program, first_pose
 from coopqp.files.cellfile.error import CellFileError
 from coopqp.files.cellfile.explain import explain, in_words_of_the_file
@@ -344,7 +344,7 @@ def _task(file: CellFile, folder: Path) -> CellTask:
 def _parts(file: CellFile, folder: Path) -> _Parts:
     """The task, without a search."""
     build_options(Tolerances, file.verdict)  # a bad one is refused before any work is done
-    cell = RobotCell([build_arm(arm, folder) for arm in file.arms])
+    cell = build_cell(file.arms, file.robots, folder)
     path: ObjectPath | None = None
     if isinstance(file.path, SearchTable):
         T_start = build_placement(file.path.start)
@@ -408,24 +408,25 @@ def build(file: CellFile, folder: Path) -> CellRun:
     return CellRun(scenario, kind, options, file.settle_s, file.longest_s, file, disturbances, stiffness, scene, avoids)
 
 
-def _by_arm(given: Mapping[str, Any], cell: RobotCell, where: str) -> list[Any]:
-    """The values of a table with one key per arm, in the order of the arms. Every arm must have a key."""
+def _by_name(given: Mapping[str, Any], names: Sequence[str], where: str) -> list[Any]:
+    """The values of a table with one key per arm (or robot), in their order. Each must have a key."""
     for name in given:
-        if name not in cell.arm_names:
-            raise UnknownNameError("arm", name, cell.arm_names, where)
-    missing = [name for name in cell.arm_names if name not in given]
+        if name not in names:
+            raise UnknownNameError("arm", name, names, where)
+    missing = [name for name in names if name not in given]
     if missing:
         raise CoopqpError(f"{where}: arm '{missing[0]}' is missing.")
-    return [given[name] for name in cell.arm_names]
+    return [given[name] for name in names]
 
 
 def _start(table: StartTable, cell: RobotCell) -> Array:
     degrees = table.positions_deg is not None
     where = f"start.positions_{'deg' if degrees else 'rad'}"
-    values = _by_arm(table.positions_deg or table.positions_rad or {}, cell, where)
+    blocks = cell.blocks
+    values = _by_name(table.positions_deg or table.positions_rad or {}, tuple(blocks), where)
     sliding = slides(cell)
     parts = []
-    for name, own, numbers in zip(cell.arm_names, cell.v_slices, values, strict=True):
+    for (name, own), numbers in zip(blocks.items(), values, strict=True):
         parts.append(in_radians(numbers, sliding[own], f"{where}.{name}", degrees=degrees))
     return cell.configuration(np.concatenate(parts))
 
@@ -436,7 +437,7 @@ def _grasp(file: CellFile, cell: RobotCell) -> Grasp:
         grasp.check_arms(cell)
         return grasp
     assert file.grasp.kind == "tools"
-    return Grasp(tuple(build_placement(tool) for tool in _by_arm(file.grasp.tools, cell, "grasp.tools")))
+    return Grasp(tuple(build_placement(tool) for tool in _by_name(file.grasp.tools, cell.arm_names, "grasp.tools")))
 
 
 def _path(path: LineTable | WaypointsTable | HoldTable | TimedTable) -> ObjectPath:
