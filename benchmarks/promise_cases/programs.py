@@ -15,6 +15,7 @@ import numpy as np
 import pinocchio as pin
 
 from coopqp import ControlStep, LinePath, QPController, Status, check_path
+from coopqp.planning import time_program
 from coopqp.programs import Phase, Program, Role, Slides, Travels, Turns, Waits
 from coopqp.scenarios import Scenario, conveyor, draw_on_plate, hand_over, paper_lift, pliers, positioner
 from promise_cases import Promise
@@ -257,6 +258,24 @@ def _checked(quick: bool) -> Iterator[Promise]:
     yield Promise(f"{seeds} random programs: wrong phase or arm named", wrong, 0, "")
 
 
+def _planned(quick: bool) -> Iterator[Promise]:
+    worst, broken = 0.0, 0.0
+    makes: list[Callable[[], Scenario]] = [pliers, lambda: _regrasped(1, rests=True), lambda: _regrasped(0, rests=True)]
+    for make in makes[:1] if quick else makes:
+        task = make()
+        program = task.path
+        assert isinstance(program, Program)
+        optimum = time_program(task.cell, task.grasp, program, q_start=task.q_start, share=1.0).duration
+        planned = time_program(task.cell, task.grasp, program, q_start=task.q_start)
+        task = replace(task, path=planned)
+        judge = _Judge(task, _program_places(task))
+        steps = _to_the_end(_started(task), judge)
+        worst = max(worst, _DT * len(steps) / optimum if steps[-1].finished else np.inf)
+        broken = max(broken, judge.chain, judge.path)
+    yield Promise("run of a planned program, over the optimum of its phases", worst, 1.03, "")
+    yield Promise("run of a planned program: chain, path", 1e6 * broken, 0.5, "µm")
+
+
 def _costs(quick: bool) -> Iterator[Promise]:
     fixed = _lift()
     task = pliers()
@@ -277,5 +296,5 @@ def _costs(quick: bool) -> Iterator[Promise]:
 
 def promises(quick: bool) -> Iterator[Promise]:
     """Promises about programs."""
-    for part in (_pliers, _wide, _tools, _regrasp, _gates, _checked, _costs):
+    for part in (_pliers, _wide, _tools, _regrasp, _gates, _checked, _planned, _costs):
         yield from part(quick)
