@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import importlib
+import math
 import warnings
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -35,6 +36,7 @@ from coopqp.files.cellfile.schema import (
     MAX_STEPS,
     CellFile,
     CommonErrorTable,
+    FreeTable,
     StartTable,
 )
 from coopqp.files.cellfile.search_tables import SearchTable
@@ -46,6 +48,7 @@ from coopqp.forces.wrist_sensor import SensorMaps, WristSensor
 from coopqp.model.branches import amount
 from coopqp.model.cell import RobotCell, slides
 from coopqp.model.common_error import CommonError
+from coopqp.model.free_directions import freed_cell
 from coopqp.model.grasp import Grasp
 from coopqp.model.inverse_kinematics import inverse_kinematics
 from coopqp.model.shapes import Body, Box
@@ -364,6 +367,11 @@ def _parts(file: CellFile, folder: Path) -> _Parts:
             "a latched grasp follows from the start, so no start can be found for it: give start.positions_deg or "
             "start.positions_rad, or another kind of grasp."
         )
+    if file.grasp.free:
+        freed = freed_cell(cell, _freed(grasp, file.grasp.free))
+        if q_start is not None:
+            q_start = freed.configuration(cell.positions(q_start))
+        cell, grasp = freed.cell, freed.grasp
     if file.path is None:
         path = build_program(file.phases, file.signals_s, cell, grasp, _path)
     near = q_start is not None and file.start.inverse_kinematics and not latched
@@ -438,6 +446,16 @@ def _grasp(file: CellFile, cell: RobotCell) -> Grasp:
         return grasp
     assert file.grasp.kind == "tools"
     return Grasp(tuple(build_placement(tool) for tool in _by_name(file.grasp.tools, cell.arm_names, "grasp.tools")))
+
+
+def _freed(grasp: Grasp, tables: Sequence[FreeTable]) -> Grasp:
+    """A grasp that gives way as the tables say."""
+    for table in tables:
+        degrees = table.range_deg is not None
+        low, high = table.range_deg or table.range_rad or table.range_m or (0.0, 0.0)
+        ends = (math.radians(low), math.radians(high)) if degrees else (low, high)
+        grasp = grasp.freed(table.arm, table.axis, range=ends)
+    return grasp
 
 
 def _path(path: LineTable | WaypointsTable | HoldTable | TimedTable) -> ObjectPath:

@@ -142,12 +142,39 @@ class ArmTable(Table):
         return self
 
 
+#: Lowest and highest position of a free direction.
+Ends = Annotated[list[Angle], Len(2, 2)]
+
+
+class FreeTable(Table):
+    """A direction in which the grasp of an arm gives way: a passive joint behind its tool."""
+
+    arm: Name = Field(description="name of the arm")
+    axis: Literal["x", "y", "z", "rx", "ry", "rz"] = Field(
+        description="slide along, or turn about, an axis of its tool"
+    )
+    range_deg: Ends | None = Field(default=None, description="lowest and highest angle")
+    range_rad: Ends | None = Field(default=None, description="the same in radians")
+    range_m: Ends | None = Field(default=None, description="of a slide")
+
+    @model_validator(mode="after")
+    def _one_unit(self) -> FreeTable:
+        given = exactly_one(self, "range_deg", "range_rad", "range_m")
+        if (given == "range_m") is self.axis.startswith("r"):
+            raise problem(f"axis '{self.axis}' takes {'range_deg or range_rad' if given == 'range_m' else 'range_m'}")
+        return self
+
+
+Frees = Annotated[list[FreeTable], Len(0, 6 * MAX_ARMS)]
+
+
 class TriangleGrasp(Table):
     """The paper's grasp: tools at A (0, 0), B (−β, 3α), C (β, 3α); the object frame is the frame of A."""
 
     kind: Literal["triangle"]
     alpha_m: Metres = Field(description="α: a third of the triangle's height")
     beta_m: Metres = Field(description="β: half its base")
+    free: Frees = Field(default=[], description="directions in which it gives way; three turns make a ball")
 
 
 class ToolsGrasp(Table):
@@ -155,12 +182,14 @@ class ToolsGrasp(Table):
 
     kind: Literal["tools"]
     tools: dict[Name, PlacementTable] = Field(description="placement of each arm's tool in the object frame, by arm")
+    free: Frees = Field(default=[], description="directions in which it gives way; three turns make a ball")
 
 
 class LatchedGrasp(Table):
     """The grasp follows from the tools at the start and the first pose of the path."""
 
     kind: Literal["latched"]
+    free: Frees = Field(default=[], description="directions in which it gives way; three turns make a ball")
 
 
 class StartTable(Table):
