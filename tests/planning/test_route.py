@@ -22,6 +22,7 @@ from coopqp.paths.geometry import blended
 from coopqp.planning import ArmGoal, FreeTurn, PathVerdict, Route, RouteVerdict, TurnedGoal
 from coopqp.planning.route.duration import estimated_duration
 from coopqp.planning.route.edges import EdgeLimits, limits_with
+from coopqp.planning.route.sampling import samples_of
 from coopqp.planning.route.tree import STEP, Pose, distance
 from coopqp.scenarios import dual_arm7
 
@@ -274,6 +275,26 @@ def test_the_estimated_duration_of_one_joint_is_that_of_its_trapezoid(
     ramp = fastest**2 / acceleration
     exact = 2.0 * np.sqrt(way / acceleration) if way < ramp else way / fastest + fastest / acceleration
     assert estimated_duration(limits, s, way * s[:, None]) == pytest.approx(exact, rel=0.02)
+
+
+def test_samples_of_all_pieces_at_once_are_those_of_each_and_the_object_moves_no_further_between_them() -> None:
+    rng = np.random.default_rng(3)
+    poses = [pin.SE3(pin.exp3(rng.normal(size=3)), rng.normal(size=3)) for _ in range(4)]
+    lines = [line for a, b in pairwise(poses) if (line := LinePath(a, b, duration=1.0).straight())]
+    geometry = blended(lines, distance=np.array([0.1, 0.3]), angle=np.ones(2))
+    s, rows, motion = samples_of(geometry)
+    assert np.isin(geometry.marks, s).all()
+    R, p = geometry.poses(s)
+    np.testing.assert_allclose(rows, np.hstack([R.reshape(-1, 9), p]), atol=1e-12)
+    # The oracle: lengths of chains of short chords between samples.
+    fine = np.linspace(s[:-1], s[1:], 30)
+    for k, (low, high) in enumerate(pairwise(s)):
+        R, p = geometry.poses(fine[:, k])
+        way = np.linalg.norm(np.diff(p, axis=0), axis=1).sum()
+        turn = sum(np.linalg.norm(pin.log3(a.T @ b)) for a, b in pairwise(R))
+        assert low < high
+        assert way <= motion[k, 0] + 1e-9
+        assert turn <= motion[k, 1] + 1e-9
 
 
 def test_corners_are_rounded_off_within_their_own_distances() -> None:

@@ -35,9 +35,11 @@ from coopqp.spatial import Array, Placement, as_placement
 
 #: The object's origin keeps within this of the box of start and goal, below and above [m].
 _BELOW, _ABOVE = 0.3, 0.4
-#: Time to make a way shorter and faster [s]; other ways that are searched, and nodes of such a search, besides twice
-#: those of the first.
-_BETTERING, _OTHERS, _OTHER_NODES = 0.45, 5, 100
+#: Time to make a way shorter and faster [s], and the first part of it, in which other ways are searched: so many at
+#: most, with so many nodes besides twice those of the first.
+_BETTERING, _SEARCHING, _OTHERS, _OTHER_NODES = 0.8, 0.15, 6, 100
+#: Of the shapes, so many are made faster by a few changes, and then the fastest by many.
+_PROMISING, _FEW_CHANGES, _MANY_CHANGES = 2, 50, 400
 #: Poses of a goal, of those from which the arms hold the object, that the search leads to.
 _MOST_GOALS = 3
 #: Ways that are searched until one is proved.
@@ -258,20 +260,24 @@ class _Finding:
         self, task: Searched, starts: list[Node], goals: list[Node], result: SearchResult
     ) -> list[Shape | None]:
         """Shapes of the way and of some others, each shortened, the fastest first; that one is made faster still."""
-        until = time.perf_counter() + _BETTERING if self._limits.shortens else np.inf
+        began = time.perf_counter()
+        until = began + _BETTERING if self._limits.shortens else np.inf
         shapes = [self._shape(shortened(self._edges, result.way, self._rng, until), WIDEST)]
         for _ in range(int(self._edges.effort * _OTHERS)):
-            if time.perf_counter() > until - 0.6 * _BETTERING:
+            if self._limits.shortens and time.perf_counter() > began + _SEARCHING:
                 break
             other = Search(task, starts, goals, self._rng)
             limits = SearchLimits(nodes=_OTHER_NODES + 2 * result.nodes, until=until, watch=self._limits.watch)
             if way := other.run(limits).way:
                 shapes.append(self._shape(shortened(self._edges, way, self._rng, until), WIDEST))
-        free = sorted((shape for shape in shapes if shape is not None), key=lambda shape: shape.duration)
+        free = sorted((shape for shape in shapes if shape is not None), key=_duration)
         if not free:
             return []
-        better = faster(self._edges, self._cell.limits, free[0], self._rng, until)
-        return [better, *free]
+        better = sorted((self._faster(shape, until, _FEW_CHANGES) for shape in free[:_PROMISING]), key=_duration)
+        return [self._faster(better[0], until, _MANY_CHANGES), *better, *free]
+
+    def _faster(self, shape: Shape, until: float, changes: int) -> Shape:
+        return faster(self._edges, self._cell.limits, shape, self._rng, until, changes=changes)
 
     def _shape(self, way: list[Node], widest: float) -> Shape | None:
         return shaped(self._edges, self._cell.limits, way[0], corners_of(way), widest)
@@ -285,11 +291,11 @@ class _Finding:
                 assert given is not None
                 shape: Shape | None = given
                 if widest < WIDEST:
-                    shape = shaped(self._edges, self._cell.limits, given.nodes[0], given.poses, widest)
+                    shape = shaped(self._edges, self._cell.limits, given.start, given.poses, widest)
                 if shape is None:
                     continue
                 path = some_timing(shape.geometry)
-                start = shape.nodes[0]
+                start = shape.start
                 q_start = self._exact(start.pose.placement(), start.x)
                 check = check_path(self._cell, self._grasp, path, q_start=q_start, scene=self._scene)
                 if check.verdict is PathVerdict.CERTIFIED:
@@ -302,8 +308,8 @@ class _Finding:
                         first_s=first,
                         total_s=time.perf_counter() - self._began,
                         trees=() if result is None else tuple(map(_edges_of, result.trees)),
-                        joints=np.array([node.x for node in shape.nodes]),
-                        poses=np.array([node.pose.row() for node in shape.nodes]),
+                        joints=shape.positions,
+                        poses=shape.rows,
                         refused=tuple(self._refused),
                     )
                 self._refused.append(check.verdict.value)
@@ -349,6 +355,10 @@ class _Finding:
             "limit": f"the limit of {arm.joints[own]}",
         }
         return f"; arm {arm.arm.name} stops it most, at {what[kind]}"
+
+
+def _duration(shape: Shape) -> float:
+    return shape.duration
 
 
 def _edges_of(tree: Tree) -> Array:

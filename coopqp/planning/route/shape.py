@@ -16,15 +16,16 @@ from coopqp.native.constants import TURN_LENGTH
 from coopqp.paths.geometry import PathGeometry, Straight, blended
 from coopqp.planning.route.duration import estimated_duration
 from coopqp.planning.route.edges import Edges
-from coopqp.planning.route.tree import STEP, Node, Pose, between, distance, length_of, part_of
+from coopqp.planning.route.sampling import samples_of
+from coopqp.planning.route.tree import Node, Pose, between, distance, length_of, part_of
 from coopqp.spatial import Array
 
 #: Largest deviation at a corner [m], with an angle of it over 0.3 m; a corner with less than the least is not rounded.
 WIDEST, _LEAST = 0.3, 1e-3
 #: Twists of the same direction within this make no corner.
 _STRAIGHT = 1e-6
-#: Changes of a shape that are tried, and their size [m], from the first to the last.
-_CHANGES, _SIZES = 100, (0.1, 0.01)
+#: Size of changes that are tried [m]: the smallest, the first and the largest; it grows and shrinks by these factors.
+_SIZES, _UP, _DOWN = (0.01, 0.06, 0.15), 1.5, 0.9
 #: Share of the changes that leave a corner out.
 _LEFT_OUT = 0.1
 #: A corner is left out where that costs less than this share of the duration.
@@ -38,14 +39,18 @@ class Shape(NamedTuple):
         poses: of both ends and of the corners between them.
         deviations: largest deviation at each corner [m].
         geometry: what follows from them.
-        nodes: the arms along it.
+        start: where the arms start.
+        rows: samples of the object's pose along it, rows of R (9), p (3): (K, 12).
+        positions: joint positions there (K, nv) [rad or m].
         duration: about how long the motion takes [s].
     """
 
     poses: tuple[Pose, ...]
     deviations: Array
     geometry: PathGeometry
-    nodes: list[Node]
+    start: Node
+    rows: Array
+    positions: Array
     duration: float
 
 
@@ -97,8 +102,12 @@ def shaped(edges: Edges, limits: JointLimits, start: Node, poses: Sequence[Pose]
         deviations[k] = 0.5 * deviations[k] if deviations[k] > _LEAST else 0.0
 
 
-def faster(edges: Edges, limits: JointLimits, shape: Shape, rng: np.random.Generator, until: float) -> Shape:
+def faster(
+    edges: Edges, limits: JointLimits, shape: Shape, rng: np.random.Generator, until: float, *, changes: int
+) -> Shape:
     """A shape whose motion takes less time: corners are moved about, left out, or rounded off more.
+
+    A change that gains is made again, and the next ones are larger; those behind one that does not are smaller.
 
     Args:
         edges: walks of the arms.
@@ -106,52 +115,48 @@ def faster(edges: Edges, limits: JointLimits, shape: Shape, rng: np.random.Gener
         shape: where it begins.
         rng: random numbers.
         until: :func:`time.perf_counter` when no more is tried [s].
+        changes: that are tried; fewer with slow edges.
     """
     for k in range(len(shape.poses) - 2, 0, -1):
         if time.perf_counter() < until:
             others = shape.poses[:k] + shape.poses[k + 1 :]
-            fewer = _free(edges, limits, shape.nodes[0], others, np.delete(shape.deviations, k - 1))
+            fewer = _free(edges, limits, shape.start, others, np.delete(shape.deviations, k - 1))
             if isinstance(fewer, Shape) and fewer.duration < (1.0 + _WORTH_A_CORNER) * shape.duration:
                 shape = fewer
-    for size in np.geomspace(*_SIZES, math.ceil(edges.effort * _CHANGES)):
+    size, again = _SIZES[1], None
+    for _ in range(math.ceil(edges.effort * changes)):
         if len(shape.poses) < 3 or time.perf_counter() >= until:
             break
         poses, deviations = list(shape.poses), shape.deviations.copy()
-        k = int(rng.integers(1, len(poses) - 1))
-        if rng.random() < _LEFT_OUT:
+        k, move, turn = again or (int(rng.integers(1, len(poses) - 1)), *_random_change(rng, size))
+        if again is None and rng.random() < _LEFT_OUT:
             del poses[k]
             deviations = np.delete(deviations, k - 1)
+            again = None
         else:
-            move, turn = size * rng.normal(size=3), size / TURN_LENGTH * rng.normal(size=3)
             poses[k] = Pose(poses[k].p + move, poses[k].R @ np.asarray(pin.exp3(turn)))
             deviations[k - 1] = min(max(2.0 * deviations[k - 1], _LEAST), WIDEST)
-        changed = _free(edges, limits, shape.nodes[0], poses, deviations)
+            again = k, move, turn
+        changed = _free(edges, limits, shape.start, poses, deviations)
         if isinstance(changed, Shape) and changed.duration < shape.duration:
-            shape = changed
+            shape, size = changed, min(_UP * size, _SIZES[2])
+        else:
+            size, again = max(_DOWN * size, _SIZES[0]), None
     return shape
+
+
+def _random_change(rng: np.random.Generator, size: float) -> tuple[Array, Array]:
+    """A displacement [m] and a turn [rad] of about this size."""
+    return size * rng.normal(size=3), size / TURN_LENGTH * rng.normal(size=3)
 
 
 def _free(edges: Edges, limits: JointLimits, start: Node, poses: Sequence[Pose], deviations: Array) -> Shape | Pose:
     """The shape; where it is not free, the pose that it is free to."""
     geometry = blended(_lines(poses), distance=deviations, angle=deviations / TURN_LENGTH)
-    rows: list[Array] = []
-    motion: list[Array] = []
-    marks: list[Array] = []
-    for piece, mark in zip(geometry.pieces, geometry.marks, strict=False):
-        count = max(math.ceil(piece.length / STEP), 4)
-        s = np.linspace(0.0, piece.length, count + 1)
-        R, p = piece.poses(s)
-        bounds = piece.bounds(s[:-1], s[1:])
-        assert bounds is not None
-        motion.append(np.column_stack([bounds.way, bounds.turn]) * np.diff(s)[:, None])
-        first = 1 if rows else 0
-        rows.append(np.hstack([R.reshape(-1, 9), p])[first:])
-        marks.append(mark + s[first:])
-    every = np.ascontiguousarray(np.vstack(rows))
-    found = edges.walk(every, np.ascontiguousarray(np.vstack(motion)), start.x, start.rooms)
+    s, rows, motion = samples_of(geometry)
+    found = edges.walk(rows, motion, start.x, start.rooms)
     last = len(found.positions) - 1
-    if last < len(every) - 1:
-        return Pose.of_row(every[last])
-    nodes = [Node(Pose.of_row(row), x, room) for row, x, room in zip(every, found.positions, found.rooms, strict=True)]
-    duration = estimated_duration(limits, np.concatenate(marks), found.positions)
-    return Shape(tuple(poses), deviations.copy(), geometry, nodes, duration)
+    if last < len(rows) - 1:
+        return Pose.of_row(rows[last])
+    duration = estimated_duration(limits, s, found.positions)
+    return Shape(tuple(poses), deviations.copy(), geometry, start, rows, found.positions, duration)
