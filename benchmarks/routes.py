@@ -1,7 +1,8 @@
 """Ways round: how soon is the first one found, how soon is it proved, how long is it, and does anything touch?
 
 Each problem of :mod:`route_cases` is searched with many seeds, all turns of the object allowed; its scene is built
-before. Random scenes follow, and starts and goals that are impossible. See benchmarks/README.md.
+before. Random scenes follow, starts and goals that are impossible, and bodies that come into the way of an object in
+motion. See benchmarks/README.md.
 """
 
 from __future__ import annotations
@@ -14,6 +15,7 @@ from dataclasses import dataclass
 import common  # first: it limits BLAS to one thread
 import numpy as np
 import ompl_routes
+import route_ahead
 from common import Record
 from route_cases import PROBLEMS, Problem, impossible, random_scene
 
@@ -28,15 +30,16 @@ KEYS = (
 
 @dataclass(frozen=True, kw_only=True)
 class Plan:
-    """Seeds of each problem, random scenes, seeds of the peer, and the longest search [s]."""
+    """Seeds of each problem, random scenes, runs with a body ahead, seeds of the peer, and the longest search [s]."""
 
     seeds: int = 100
     scenes: int = 300
+    ahead: int = 100
     peer_seeds: int = 10
     time_limit: float = 10.0
 
 
-FULL, QUICK = Plan(), Plan(seeds=3, scenes=4, peer_seeds=1, time_limit=5.0)
+FULL, QUICK = Plan(), Plan(seeds=3, scenes=4, ahead=2, peer_seeds=1, time_limit=5.0)
 
 
 def searched(name: str, seed: int, problem: Problem, time_limit: float) -> tuple[Record, Route]:
@@ -82,6 +85,13 @@ def scenes(plan: Plan, numbers: Sequence[int], progress: common.Progress) -> Ite
         yield record | ({"check": "REFUTED"} if "INFEASIBLE" in route.refused else {})
 
 
+def bodies_ahead(numbers: Sequence[int], progress: common.Progress) -> Iterator[Record]:
+    """Runs in which a body comes into the way of an object in motion; see :mod:`route_ahead` for their ``check``."""
+    for seed in numbers:
+        progress.advance(route_ahead.NAME)
+        yield route_ahead.run(seed)
+
+
 def impossibles(progress: common.Progress) -> Iterator[Record]:
     """Starts and goals that are impossible: the time until that is said."""
     for name, problem in impossible().items():
@@ -105,6 +115,8 @@ def part_of(record: Record) -> str:
     if record["engine"] != "coopqp":
         return "ompl"
     name = str(record["problem"])
+    if name == route_ahead.NAME:
+        return "ahead"
     return name if name in (*PROBLEMS, "random") else "impossible"
 
 
@@ -120,6 +132,9 @@ def report(records: Sequence[Record]) -> str:
                 "problem": name,
                 "engine": engine,
                 "found": f"{sum(r['found'] for r in own)}/{len(own)}",
+                "without a stop": f"{sum(r['check'] == 'ROUND' for r in own)}/{len(own)}"
+                if name == route_ahead.NAME
+                else None,
                 "certified": f"{sum(r['check'] == 'CERTIFIED' for r in own)}/{len(own)}",
                 "refuted": sum(r["check"] == "REFUTED" or (r["check"] == "INFEASIBLE" and r["found"]) for r in own),
                 "first 50/99/max [s]": "/".join(f"{x:.3f}" for x in np.percentile(first, [50, 99, 100])),
@@ -144,7 +159,7 @@ def _median(values: object) -> float | None:
 def main(argv: Sequence[str] | None = None) -> int:
     """Command line."""
     parser = common.arguments(__doc__.partition("\n")[0] if __doc__ else "")
-    parts = [*PROBLEMS, "random", "impossible", "ompl"]
+    parts = [*PROBLEMS, "random", "impossible", "ahead", "ompl"]
     parser.add_argument(
         "--case", nargs="+", choices=parts, default=parts, help="parts to run (all); the others in --json FILE are kept"
     )
@@ -164,14 +179,16 @@ def main(argv: Sequence[str] | None = None) -> int:
     if any(set(record) != set(KEYS) for record in kept):
         parser.error(f"{args.json} holds records of something else: give another file")
     names = [name for name in PROBLEMS if name in args.case]
-    progress = common.Progress(len(names) * plan.seeds + plan.scenes * ("random" in args.case))
-    seeds, numbers = (range(*(args.seeds or (0, most))) for most in (plan.seeds, plan.scenes))
-    again = {(name, seed) for name in names for seed in seeds} | {("random", seed) for seed in numbers}
-    again -= set() if "random" in args.case else {("random", seed) for seed in numbers}
+    counts = {**dict.fromkeys(names, plan.seeds), "random": plan.scenes, "ahead": plan.ahead}
+    numbers = {part: range(*(args.seeds or (0, most))) for part, most in counts.items() if part in args.case}
+    progress = common.Progress(sum(map(len, numbers.values())))
+    again = {(part, seed) for part, seeds in numbers.items() for seed in seeds}
     whole = {"impossible", "ompl"} & {*args.case}
     records = [r for r in kept if part_of(r) not in whole and (part_of(r), r["seed"]) not in again]
-    records += problems(plan, names, seeds, progress)
-    records += scenes(plan, numbers, progress) if "random" in args.case else []
+    for name in names:
+        records += problems(plan, [name], numbers[name], progress)
+    records += scenes(plan, numbers["random"], progress) if "random" in numbers else []
+    records += bodies_ahead(numbers["ahead"], progress) if "ahead" in numbers else []
     records += impossibles(progress) if "impossible" in args.case else []
     records += peers(plan, progress) if "ompl" in args.case else []
     records.sort(key=lambda r: (parts.index(part_of(r)), r["engine"], r["seed"]))

@@ -27,7 +27,7 @@ from coopqp.planning.route.ends import Ends, ends_at
 from coopqp.planning.route.goals import ArmGoal, GoalPose, TurnedGoal, goal_poses
 from coopqp.planning.route.route import Route, RouteVerdict
 from coopqp.planning.route.search import Search, Searched, SearchLimits, SearchResult
-from coopqp.planning.route.shape import WIDEST, Shape, corners_of, faster, shaped
+from coopqp.planning.route.shape import WIDEST, Shape, Shaper, corners_of
 from coopqp.planning.route.shorten import shortened
 from coopqp.planning.route.tree import Node, Pose, Tree, straight
 from coopqp.planning.starts import exact_start
@@ -167,6 +167,7 @@ class _Finding:
         self._kept = EdgeLimits(-anywhere, anywhere, required.copy(), np.full(len(required), SPARE))
         self._refused: list[str] = []
         self._edges: Edges = scene.edges(self._arms, grasp, self._kept)
+        self._shaper = Shaper(edges=self._edges, limits=cell.limits)
 
     def route(self, start: pin.SE3, poses: Sequence[GoalPose], q_start: Array | None, *, all_of_them: bool) -> Route:
         """The answer; ``all_of_them``: no other pose is a goal."""
@@ -277,10 +278,10 @@ class _Finding:
         return [self._faster(better[0], until, _MANY_CHANGES), *better, *free]
 
     def _faster(self, shape: Shape, until: float, changes: int) -> Shape:
-        return faster(self._edges, self._cell.limits, shape, self._rng, until, changes=changes)
+        return self._shaper.faster(shape, self._rng, until, changes=changes)
 
     def _shape(self, way: list[Node], widest: float) -> Shape | None:
-        return shaped(self._edges, self._cell.limits, way[0], corners_of(way), widest)
+        return self._shaper.shaped(way[0], corners_of(way), widest)
 
     def _proved(
         self, shapes: Sequence[Shape | None], verdict: RouteVerdict, result: SearchResult | None, first: float
@@ -291,7 +292,7 @@ class _Finding:
                 assert given is not None
                 shape: Shape | None = given
                 if widest < WIDEST:
-                    shape = shaped(self._edges, self._cell.limits, given.start, given.poses, widest)
+                    shape = self._shaper.shaped(given.start, given.poses, widest)
                 if shape is None:
                     continue
                 path = some_timing(shape.geometry)

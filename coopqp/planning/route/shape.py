@@ -6,7 +6,8 @@ import itertools
 import math
 import time
 from collections.abc import Sequence
-from typing import NamedTuple
+from dataclasses import dataclass
+from typing import NamedTuple, final
 
 import numpy as np
 import pinocchio as pin
@@ -40,7 +41,8 @@ class Shape(NamedTuple):
         deviations: largest deviation at each corner [m].
         geometry: what follows from them.
         start: where the arms start.
-        rows: samples of the object's pose along it, rows of R (9), p (3): (K, 12).
+        s: of samples along it (K,) [m].
+        rows: the object's pose there, rows of R (9), p (3): (K, 12).
         positions: joint positions there (K, nv) [rad or m].
         duration: about how long the motion takes [s].
     """
@@ -49,6 +51,7 @@ class Shape(NamedTuple):
     deviations: Array
     geometry: PathGeometry
     start: Node
+    s: Array
     rows: Array
     positions: Array
     duration: float
@@ -81,82 +84,91 @@ def _lines(poses: Sequence[Pose]) -> list[Straight]:
     return lines
 
 
-def shaped(edges: Edges, limits: JointLimits, start: Node, poses: Sequence[Pose], widest: float) -> Shape | None:
-    """Lines between poses with corners rounded off as far as it is free; None if even the lines are not.
+@final
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Shaper:
+    """Shapes of ways.
 
-    Args:
+    Attributes:
         edges: walks of the arms.
         limits: of the joints.
-        start: where the arms start.
-        poses: both ends, and the corners.
-        widest: largest deviation at a corner [m]. Where the way stops, that of the nearest corner is halved.
+        speed: of the object at the start [m/s], along the first line.
+        fixed: poses at the start, besides the first, that no change moves.
     """
-    deviations = np.full(len(poses) - 2, widest)
-    corners = np.array([pose.p for pose in poses[1:-1]])
-    while True:
-        shape = _free(edges, limits, start, poses, deviations)
-        if isinstance(shape, Shape) or not deviations.any():
-            return shape if isinstance(shape, Shape) else None
-        open_ = np.flatnonzero(deviations > 0.0)
-        k = open_[int(np.linalg.norm(corners[open_] - shape.p, axis=1).argmin())]
-        deviations[k] = 0.5 * deviations[k] if deviations[k] > _LEAST else 0.0
 
+    edges: Edges
+    limits: JointLimits
+    speed: float = 0.0
+    fixed: int = 0
 
-def faster(
-    edges: Edges, limits: JointLimits, shape: Shape, rng: np.random.Generator, until: float, *, changes: int
-) -> Shape:
-    """A shape whose motion takes less time: corners are moved about, left out, or rounded off more.
+    def shaped(self, start: Node, poses: Sequence[Pose], widest: float) -> Shape | None:
+        """Lines between poses with corners rounded off as far as it is free; None if even the lines are not.
 
-    A change that gains is made again, and the next ones are larger; those behind one that does not are smaller.
+        Args:
+            start: where the arms start.
+            poses: both ends, and the corners.
+            widest: largest deviation at a corner [m]. Where the way stops, that of the nearest corner is halved.
+        """
+        deviations = np.full(len(poses) - 2, widest)
+        corners = np.array([pose.p for pose in poses[1:-1]])
+        while True:
+            shape = self._free(start, poses, deviations)
+            if isinstance(shape, Shape) or not deviations.any():
+                return shape if isinstance(shape, Shape) else None
+            open_ = np.flatnonzero(deviations > 0.0)
+            k = open_[int(np.linalg.norm(corners[open_] - shape.p, axis=1).argmin())]
+            deviations[k] = 0.5 * deviations[k] if deviations[k] > _LEAST else 0.0
 
-    Args:
-        edges: walks of the arms.
-        limits: of the joints.
-        shape: where it begins.
-        rng: random numbers.
-        until: :func:`time.perf_counter` when no more is tried [s].
-        changes: that are tried; fewer with slow edges.
-    """
-    for k in range(len(shape.poses) - 2, 0, -1):
-        if time.perf_counter() < until:
-            others = shape.poses[:k] + shape.poses[k + 1 :]
-            fewer = _free(edges, limits, shape.start, others, np.delete(shape.deviations, k - 1))
-            if isinstance(fewer, Shape) and fewer.duration < (1.0 + _WORTH_A_CORNER) * shape.duration:
-                shape = fewer
-    size, again = _SIZES[1], None
-    for _ in range(math.ceil(edges.effort * changes)):
-        if len(shape.poses) < 3 or time.perf_counter() >= until:
-            break
-        poses, deviations = list(shape.poses), shape.deviations.copy()
-        k, move, turn = again or (int(rng.integers(1, len(poses) - 1)), *_random_change(rng, size))
-        if again is None and rng.random() < _LEFT_OUT:
-            del poses[k]
-            deviations = np.delete(deviations, k - 1)
-            again = None
-        else:
-            poses[k] = Pose(poses[k].p + move, poses[k].R @ np.asarray(pin.exp3(turn)))
-            deviations[k - 1] = min(max(2.0 * deviations[k - 1], _LEAST), WIDEST)
-            again = k, move, turn
-        changed = _free(edges, limits, shape.start, poses, deviations)
-        if isinstance(changed, Shape) and changed.duration < shape.duration:
-            shape, size = changed, min(_UP * size, _SIZES[2])
-        else:
-            size, again = max(_DOWN * size, _SIZES[0]), None
-    return shape
+    def faster(self, shape: Shape, rng: np.random.Generator, until: float, *, changes: int) -> Shape:
+        """A shape whose motion takes less time: corners are moved about, left out, or rounded off more.
+
+        A change that gains is made again, and the next ones are larger; those behind one that does not are smaller.
+
+        Args:
+            shape: where it begins.
+            rng: random numbers.
+            until: :func:`time.perf_counter` when no more is tried [s].
+            changes: that are tried; fewer with slow edges.
+        """
+        first = self.fixed + 1
+        for k in range(len(shape.poses) - 2, first - 1, -1):
+            if time.perf_counter() < until:
+                others = shape.poses[:k] + shape.poses[k + 1 :]
+                fewer = self._free(shape.start, others, np.delete(shape.deviations, k - 1))
+                if isinstance(fewer, Shape) and fewer.duration < (1.0 + _WORTH_A_CORNER) * shape.duration:
+                    shape = fewer
+        size, again = _SIZES[1], None
+        for _ in range(math.ceil(self.edges.effort * changes)):
+            if len(shape.poses) < first + 2 or time.perf_counter() >= until:
+                break
+            poses, deviations = list(shape.poses), shape.deviations.copy()
+            k, move, turn = again or (int(rng.integers(first, len(poses) - 1)), *_random_change(rng, size))
+            if again is None and rng.random() < _LEFT_OUT:
+                del poses[k]
+                deviations = np.delete(deviations, k - 1)
+            else:
+                poses[k] = Pose(poses[k].p + move, poses[k].R @ np.asarray(pin.exp3(turn)))
+                deviations[k - 1] = min(max(2.0 * deviations[k - 1], _LEAST), WIDEST)
+                again = k, move, turn
+            changed = self._free(shape.start, poses, deviations)
+            if isinstance(changed, Shape) and changed.duration < shape.duration:
+                shape, size = changed, min(_UP * size, _SIZES[2])
+            else:
+                size, again = max(_DOWN * size, _SIZES[0]), None
+        return shape
+
+    def _free(self, start: Node, poses: Sequence[Pose], deviations: Array) -> Shape | Pose:
+        """The shape; where it is not free, the pose that it is free to."""
+        geometry = blended(_lines(poses), distance=deviations, angle=deviations / TURN_LENGTH)
+        s, rows, motion = samples_of(geometry)
+        found = self.edges.walk(rows, motion, start.x, start.rooms)
+        last = len(found.positions) - 1
+        if last < len(rows) - 1:
+            return Pose.of_row(rows[last])
+        duration = estimated_duration(self.limits, s, found.positions, speed=self.speed)
+        return Shape(tuple(poses), deviations.copy(), geometry, start, s, rows, found.positions, duration)
 
 
 def _random_change(rng: np.random.Generator, size: float) -> tuple[Array, Array]:
     """A displacement [m] and a turn [rad] of about this size."""
     return size * rng.normal(size=3), size / TURN_LENGTH * rng.normal(size=3)
-
-
-def _free(edges: Edges, limits: JointLimits, start: Node, poses: Sequence[Pose], deviations: Array) -> Shape | Pose:
-    """The shape; where it is not free, the pose that it is free to."""
-    geometry = blended(_lines(poses), distance=deviations, angle=deviations / TURN_LENGTH)
-    s, rows, motion = samples_of(geometry)
-    found = edges.walk(rows, motion, start.x, start.rooms)
-    last = len(found.positions) - 1
-    if last < len(rows) - 1:
-        return Pose.of_row(rows[last])
-    duration = estimated_duration(limits, s, found.positions)
-    return Shape(tuple(poses), deviations.copy(), geometry, start, rows, found.positions, duration)
