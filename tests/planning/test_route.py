@@ -9,9 +9,10 @@ import numpy as np
 import pinocchio as pin
 import pytest
 import route_cases
+import route_shelves
 from marks import slow_but_first
 
-from coopqp import CollisionScene, InvalidInputError, JointLimits, LinePath, find_path, inverse_kinematics
+from coopqp import CollisionScene, InvalidInputError, JointLimits, LinePath, QPController, find_path, inverse_kinematics
 from coopqp.collision import Body, Box, Capsule
 from coopqp.collision.distances import Distances
 from coopqp.collision.edges_plain import PlainEdges
@@ -305,3 +306,27 @@ def test_corners_are_rounded_off_within_their_own_distances() -> None:
     nearest = [np.linalg.norm(p - corner.translation, axis=1).min() for corner in poses[1:3]]
     assert 0.0 < nearest[0] <= 0.05 * np.sqrt(2.0) + 1e-9
     assert nearest[1] < 1e-3
+
+
+def test_elbows_go_over_to_others_where_their_least_motion_does_not_get_through() -> None:
+    problem = route_shelves.problem(("bottom", "top"))
+    cell, scene = problem.cell, problem.scene
+    route = search(problem, nodes=3000)
+    assert route.verdict is RouteVerdict.FOUND
+    assert route.path is not None
+    assert route.check is not None
+    assert route.check.verdict is PathVerdict.CERTIFIED
+    assert route.path.elbows is not None
+    # The oracle: a run of a controller, its distances by coal, its chain by Pinocchio.
+    for planned in (route.path, route.timed().path):
+        controller = QPController(cell, problem.grasp, planned, dt=0.01)
+        controller.reset(problem.q_start)
+        for k in range(3000):
+            step = controller.step()
+            if k % 5 == 0:
+                assert scene.distances(step.q_next)[0].distance >= 0.01 - 1e-4
+            assert step.commanded_apart < 1e-5
+            if step.finished:
+                break
+        assert step.finished
+    assert planned.duration < route.path.duration * 1.1

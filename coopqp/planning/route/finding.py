@@ -18,11 +18,15 @@ from coopqp.model.cell import RobotCell
 from coopqp.model.chain import Chain
 from coopqp.model.grasp import Grasp
 from coopqp.native.constants import SMALL_CLEARANCE
+from coopqp.paths.elbows import Elbows
+from coopqp.paths.timed import SpeedProfile, TimedPath
 from coopqp.planning.branch_checks import PathVerdict
-from coopqp.planning.check import check_path
+from coopqp.planning.check import PathCheck, check_motion, check_path
 from coopqp.planning.clearance_check import check_scene
 from coopqp.planning.planner import some_timing
+from coopqp.planning.route.duration import estimated_squares
 from coopqp.planning.route.edges import SPARE, EdgeLimits, Edges, SearchedBodies, Stop, columns_of, limits_with
+from coopqp.planning.route.elbows import led_ways
 from coopqp.planning.route.ends import Ends, ends_at
 from coopqp.planning.route.goals import ArmGoal, GoalPose, TurnedGoal, goal_poses
 from coopqp.planning.route.route import Route, RouteVerdict
@@ -44,6 +48,8 @@ _PROMISING, _FEW_CHANGES, _MANY_CHANGES = 2, 50, 400
 _MOST_GOALS = 3
 #: Ways that are searched until one is proved.
 _MOST_WAYS = 4
+#: Poses in which the trees of redundant arms meet with other elbows until these are led over; the shortest are tried.
+_FEW_MEETINGS, _TRIED_MEETINGS = 8, 3
 #: A given start whose joints are further from ones that hold the object is refused [rad or m].
 _OFF = 1e-2
 #: Rooms and spares are known to within this [m].
@@ -245,17 +251,47 @@ class _Finding:
         )  # fmt: skip
         search = Search(task, starts, goals, self._rng)
         result = search.result
-        for _ in range(_MOST_WAYS):
+        redundant = any(arm.n > 6 for arm in self._arms)
+        ways, meetings = 0, _FEW_MEETINGS
+        while ways < _MOST_WAYS:
             own = self._limits
-            result = search.run(SearchLimits(nodes=own.nodes, until=own.until, watch=own.watch))
-            if not result.way:
-                break
+            most = meetings if redundant else None
+            result = search.run(SearchLimits(nodes=own.nodes, until=own.until, meetings=most, watch=own.watch))
             first = time.perf_counter() - self._began
-            route = self._proved(self._shapes(task, starts, goals, result), RouteVerdict.FOUND, result, first)
+            if result.way:
+                route = self._proved(self._shapes(task, starts, goals, result), RouteVerdict.FOUND, result, first)
+                ways += 1
+            elif most is not None and len(result.meetings) >= most:
+                route = self._led(task, result, first)
+                meetings *= 2
+            else:
+                break
             if route is not None:
                 return route
             search.forget()
         return self._not_found(result)
+
+    def _led(self, task: Searched, result: SearchResult, first: float) -> Route | None:
+        """A way along which the trees met, whose elbows go over from one motion to another; None if none is proved."""
+        limits = self._cell.limits
+        until = time.perf_counter() + _BETTERING if self._limits.shortens else np.inf
+        for before, behind in sorted(result.meetings, key=lambda met: len(met[0]) + len(met[1]))[:_TRIED_MEETINGS]:
+            for led in led_ways(task, before, behind, self._rng, until):
+                squares = estimated_squares(limits, led.s, led.positions)
+                squares[np.isin(led.s, led.geometry.marks[list(led.geometry.corners)])] = 0.0
+                path = TimedPath(led.geometry, SpeedProfile(led.s, squares))
+                check = check_motion(self._cell, self._grasp, path, led.positions, self._scene)
+                if check is None or check.verdict is not PathVerdict.CERTIFIED:
+                    self._refused.append("UNDECIDED" if check is None else check.verdict.value)
+                    continue
+                path = TimedPath(
+                    led.geometry,
+                    path.profile,
+                    keeps_clear=True,
+                    elbows=Elbows.through(path.profile.clocks, led.positions),
+                )
+                return self._route(RouteVerdict.FOUND, path, check.on(path), result, first, led.positions, led.rows)
+        return None
 
     def _shapes(
         self, task: Searched, starts: list[Node], goals: list[Node], result: SearchResult
@@ -300,23 +336,36 @@ class _Finding:
                 q_start = self._exact(start.pose.placement(), start.x)
                 check = check_path(self._cell, self._grasp, path, q_start=q_start, scene=self._scene)
                 if check.verdict is PathVerdict.CERTIFIED:
-                    return Route(
-                        verdict=verdict,
-                        path=path,
-                        check=check,
-                        length=shape.geometry.length,
-                        nodes=0 if result is None else result.nodes,
-                        first_s=first,
-                        total_s=time.perf_counter() - self._began,
-                        trees=() if result is None else tuple(map(_edges_of, result.trees)),
-                        joints=shape.positions,
-                        poses=shape.rows,
-                        refused=tuple(self._refused),
-                    )
+                    return self._route(verdict, path, check, result, first, shape.positions, shape.rows)
                 self._refused.append(check.verdict.value)
                 if len(shape.poses) < 3:
                     break
         return None
+
+    def _route(
+        self,
+        verdict: RouteVerdict,
+        path: TimedPath,
+        check: PathCheck,
+        result: SearchResult | None,
+        first: float,
+        joints: Array,
+        poses: Array,
+    ) -> Route:
+        """The answer with a way."""
+        return Route(
+            verdict=verdict,
+            path=path,
+            check=check,
+            length=path.geometry().length,
+            nodes=0 if result is None else result.nodes,
+            first_s=first,
+            total_s=time.perf_counter() - self._began,
+            trees=() if result is None else tuple(map(_edges_of, result.trees)),
+            joints=joints,
+            poses=poses,
+            refused=tuple(self._refused),
+        )
 
     def _exact(self, T_world_object: pin.SE3, x: Array) -> Array:
         """The configuration (nq,) at joint positions (nv,) that holds the object at a pose to rounding."""

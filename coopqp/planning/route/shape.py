@@ -76,7 +76,8 @@ def _bends(a: Pose, b: Pose, c: Pose) -> bool:
     return distance(part_of(a, c, first / (first + second)), b) > _STRAIGHT
 
 
-def _lines(poses: Sequence[Pose]) -> list[Straight]:
+def lines_between(poses: Sequence[Pose]) -> list[Straight]:
+    """Straight lines from each pose to the next."""
     lines = []
     for a, b in itertools.pairwise(poses):
         way, turn = between(a, b)
@@ -159,7 +160,7 @@ class Shaper:
 
     def _free(self, start: Node, poses: Sequence[Pose], deviations: Array) -> Shape | Pose:
         """The shape; where it is not free, the pose that it is free to."""
-        geometry = blended(_lines(poses), distance=deviations, angle=deviations / TURN_LENGTH)
+        geometry = blended(lines_between(poses), distance=deviations, angle=deviations / TURN_LENGTH)
         s, rows, motion = samples_of(geometry)
         found = self.edges.walk(rows, motion, start.x, start.rooms)
         last = len(found.positions) - 1
