@@ -32,7 +32,7 @@ KEYS = (
 
 @dataclass(frozen=True, kw_only=True)
 class Plan:
-    """Seeds of each problem and query of the shelves, random scenes, bodies ahead, seeds of the peer, longest search [s]."""
+    """Seeds of problems and of queries, random scenes, bodies ahead, seeds of the peer, and the longest search [s]."""
 
     seeds: int = 100
     shelves: int = 20
