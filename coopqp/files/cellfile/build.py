@@ -231,6 +231,16 @@ class CellRun:
         """What the file says of the wrist sensors, by arm; for :class:`coopqp.ForceOptions`."""
         return known_sensors(self.settings)
 
+    def metadata(self) -> dict[str, Any]:
+        """What its recordings say of it."""
+        s = self.scenario
+        return {
+            "scenario": s.name,
+            "method": self.controller_kind,
+            "object": describe_object(s.object_size, s.T_object_body),
+            "settings": self.settings.model_dump(mode="json", exclude_none=True, exclude_unset=True),
+        }
+
     def run(self, *, progress: ProgressCallback | None = None, operate: Operate | None = None) -> Recording:
         """Run the controller on the plant; ``operate`` as in :func:`coopqp.simulate`.
 
@@ -238,12 +248,6 @@ class CellRun:
             CellFileError: the controller refuses the start.
         """
         s = self.scenario
-        metadata = {
-            "scenario": s.name,
-            "method": self.controller_kind,
-            "object": describe_object(s.object_size, s.T_object_body),
-            "settings": self.settings.model_dump(mode="json", exclude_none=True, exclude_unset=True),
-        }
         try:
             recording = simulate(
                 self.led().controller(),
@@ -254,7 +258,7 @@ class CellRun:
                 patience=self.settings.patience_s,
                 progress=progress,
                 operate=operate,
-                metadata=metadata,
+                metadata=self.metadata(),
             )
             return with_clearance(recording, self.scene, avoided=self.avoids)
         except InvalidInputError as error:
