@@ -69,6 +69,7 @@ class JogPage:
             frame_camera(self._server, self.stage)
             gui = self._server.gui
             gui.configure_theme(show_share_button=False)
+            gui.main_panel.dock_right()
             gui.add_markdown(f"**{plain_text(title_of(recording)[0])}**")
             self._text = gui.add_markdown("")
             self._server.on_client_connect(self._came)

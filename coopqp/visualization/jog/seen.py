@@ -28,7 +28,7 @@ class Seen:
         binding: the limits that it runs against.
         rate: σ.
         override: the largest rate that is asked for.
-        late: p99 and largest lateness of the control loop [s].
+        late: p99 and largest lateness of the control loop [s]; None where it is not measured.
         words: what came of the last call, where it was refused, and whether the page fell silent.
     """
 
@@ -41,11 +41,13 @@ class Seen:
     binding: tuple[BindingLimit, ...]
     rate: float
     override: float
-    late: tuple[float, float]
+    late: tuple[float, float] | None = None
     words: str = ""
 
     @staticmethod
-    def of(step: ControlStep, controller: Any, *, time: float, late: tuple[float, float], words: str = "") -> Seen:
+    def of(
+        step: ControlStep, controller: Any, *, time: float, late: tuple[float, float] | None = None, words: str = ""
+    ) -> Seen:
         """What a step looks like."""
         return Seen(
             time=time, q=step.q_next, clock=step.clock_next, duration=float(controller.path.duration),
@@ -55,11 +57,14 @@ class Seen:
 
     def lines(self) -> list[str]:
         """In a few lines."""
-        p99, most = (1e3 * value for value in self.late)
+        late = ""
+        if self.late is not None:
+            p99, most = (1e3 * value for value in self.late)
+            late = f" · control loop late by {p99:.1f} ms (p99), {most:.1f} ms at most"
         texts = [
             f"{self.status} · clock {self.clock:.2f} of {self.duration:.4g} s · σ = {100.0 * self.rate:.3g} %",
             self.text,
-            f"t = {self.time:.0f} s · control loop late by {p99:.1f} ms (p99), {most:.1f} ms at most",
+            f"t = {self.time:.0f} s{late}",
             self.words,
         ]
         return [line for text in texts if text for line in textwrap.wrap(text, _LINE, break_on_hyphens=False)]
