@@ -444,7 +444,10 @@ class QPController(OperatorCalls):
         return self._loop.reference
 
     def take_events(self) -> list[tuple[str, Any, float]]:
-        """The operator's calls since the last time: name, value as plain data, and the program's clock then [s]."""
+        """The operator's calls since the last time: name, value as plain data, and the program's clock then [s].
+
+        At most the last hundred: a recorder asks in every step.
+        """
         return self._operator.take_events()
 
     @property

@@ -28,8 +28,8 @@ from coopqp.paths.guarded import GuardedPath
 from coopqp.paths.path import ObjectPath
 from coopqp.paths.servo import ServoPath
 
-#: Calls that are remembered until they are read.
-_MOST_EVENTS = 10_000
+#: Calls that are remembered until they are read: a recorder reads them in every step, and without one nobody does.
+_MOST_EVENTS = 100
 #: Steps between two looks at most.
 _MOST_BETWEEN = 1000
 #: Attributes that calls and steps change, beside the trail.
