@@ -155,12 +155,17 @@ def _by_hand(runs: int) -> Iterator[Promise]:
                 hand.controller.jog(twist, frame="world")
             step = hand.step()
         hardest = float((np.abs(step.velocity) / _ACCELERATION).max())
-        steps = 0
-        while np.abs(step.velocity).max() > 1e-4 and steps < 5000:
+        rows = [hand.cell.positions(step.q_next)]
+        while np.abs(step.velocity).max() > 1e-4 and len(rows) < 5000:
             step = hand.step()
-            steps += 1
+            rows.append(hand.cell.positions(step.q_next))
             hardest = max(hardest, float((np.abs(step.velocity) / _ACCELERATION).max()))
-        late = max(late, steps * _DT / (_DEADMAN + 1.3 * hardest + 0.02))
+        rests_after = (len(rows) - 1) * _DT
+        share = rests_after / (_DEADMAN + 1.3 * hardest + 0.02)
+        if share > 0.9:  # the hardest stop on the way itself, which may take longer than that of one joint
+            hardest = max(hardest, _hardest_stop(np.array(rows), _DEADMAN))
+            share = rests_after / (_DEADMAN + 1.3 * hardest + 0.02)
+        late = max(late, share)
         apart = max(apart, hand.seen.apart)
         off.append(max(hand.seen.off))
     yield Promise(f"{runs} jogs into limits and singularities: chain", 1e6 * apart, 0.5, "µm")
@@ -303,14 +308,23 @@ def _stops(runs: int) -> Iterator[Promise]:
     yield Promise("a stop before going back, over the least time on the path", worst, 1.3, "")
 
 
-def _least_stop(clocks: Array, rows: Array, clock: float, rate: float) -> float:
+def _hardest_stop(rows: Array, after: float) -> float:
+    """Least time [s] to rest on the way of a run's configurations (T, nv), from a time on [s]; their length is it."""
+    lengths = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(rows, axis=0), axis=1))])
+    k = round(after / _DT)
+    moves = np.concatenate([[True], np.diff(lengths) > 1e-6])
+    return _least_stop(lengths[moves], rows[moves], lengths[k], (lengths[k + 1] - lengths[k]) / _DT, spaced=5)
+
+
+def _least_stop(clocks: Array, rows: Array, clock: float, rate: float, *, spaced: int = 10) -> float:
     """Least time [s] from a path speed to rest: at each clock the hardest braking by |q′σ̇ + q″σ²| ≤ a of all joints.
 
-    The path's configurations (K, nq) at clocks (K,) come from a run of their own; derivatives are differences.
+    The path's configurations (K, nq) at clocks (K,) come from a run of their own; every ``spaced`` one is a knot of
+    their spline.
     """
     from scipy.interpolate import CubicSpline
 
-    spline = CubicSpline(clocks[::10], rows[::10])
+    spline = CubicSpline(clocks[::spaced], rows[::spaced])
     slope, curvature = spline.derivative(1), spline.derivative(2)
     h, t = 1e-4, 0.0
     while rate > 1e-3 and t < 5.0:
