@@ -15,3 +15,4 @@ from .report import LoopReport as LoopReport
 from .sim import SimDriver as SimDriver, SimOptions as SimOptions
 from .simulated import ServoModel as ServoModel, SimulatedRobot as SimulatedRobot
 from .timing import LoopTime as LoopTime, ManualTime as ManualTime, MonotonicTime as MonotonicTime
+from .ur import UrDriver as UrDriver, UrOptions as UrOptions

@@ -102,7 +102,7 @@ class ControlLoop:
         self._ending = ""
         self._failed = False
         self._motion: SharedMotion | None = None
-        self._now = -math.inf
+        self._now, self._standing = -math.inf, False
 
     # -- operators' calls ------------------------------------------------------------------------------------------
 
@@ -122,6 +122,11 @@ class ControlLoop:
         """
         share = as_scalar(share, "ControlLoop.set_override: share", open_low=False, high=1.0)
         self._calls.append(lambda: self.controller.set_override(share))
+
+    @property
+    def stands(self) -> bool:
+        """Whether the arms stand after a stop of one of them, and wait for :meth:`resume`."""
+        return self._standing
 
     def stop(self, reason: str = "stopped by its operator") -> None:
         """Brake all arms together, and end the run at rest."""
