@@ -1,7 +1,7 @@
 """A robot that speaks RTDE, the dashboard's and the script port's language, as far as ur_rtde asks for it.
 
 Run as ``python ur_stub.py ADDRESS Q`` with Q a JSON list. It prints ``ready`` when its ports are open. Orders come as
-lines on its standard input: ``slider 0.5``, ``protective``, ``release``, ``estop``, and ``count``: how many servoJ it got.
+lines on its standard input: ``slider 0.5``, ``protective``, ``release``, ``estop``, and ``count`` (of servoJ).
 """
 
 from __future__ import annotations
