@@ -48,6 +48,7 @@ PROGRAMS: dict[str, tuple[str, set[str]]] = {
         {"mujoco"},
     ),
     "the driver ur": ("from coopqp.drivers import UrDriver; UrDriver('abcdef', {'address': 'nowhere'})", {"ur"}),
+    "the driver ros2": ("from coopqp.drivers import Ros2Driver; Ros2Driver('a', {'command_topic': '/a'})", {"ros2"}),
     "the public names": (
         "import coopqp; [getattr(coopqp, name) for name in coopqp.__all__]; coopqp.simulation.Disturbances",
         set(),

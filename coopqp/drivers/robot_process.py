@@ -22,7 +22,14 @@ _STOPPING = 1.0
 
 
 class HostedRobot(Protocol):
-    """A robot as its library sees it. In its own process it may block."""
+    """A robot as its library sees it. In its own process it may block.
+
+    Attributes:
+        interpolates: it takes commands with the time at which they hold, by :meth:`send_at`; else positions that hold
+            now, by :meth:`send`.
+    """
+
+    interpolates: bool
 
     def connect(self) -> None:
         """Get ready to read and to send.
@@ -38,6 +45,10 @@ class HostedRobot(Protocol):
 
     def send(self, q: Array) -> None:
         """Send positions that hold now (n,) [rad or m]."""
+        ...
+
+    def send_at(self, at: float, q: Array, now: float) -> None:
+        """Send positions (n,) [rad or m] that hold at a time; that, and the present time, on the robot's clock [s]."""
         ...
 
     def stop(self) -> None:
@@ -93,7 +104,11 @@ def _serve(
                 return
             if packet[:1] == COMMAND and way is not None:
                 heard = now
-                way.push(*unpack_command(packet))
+                at, q = unpack_command(packet)
+                if not robot.interpolates:
+                    way.push(at, q)
+                elif not stopped:
+                    robot.send_at(at, q, now - clock.offset)
             elif packet[:1] == ORDER:
                 stopped = True
                 if unpack_order(packet)["order"] == "end":
@@ -101,7 +116,7 @@ def _serve(
                 robot.stop()
         if heard is not None and now - heard > longest_silence:
             return
-        if heard is None or way is None or stopped or state is None:
+        if heard is None or way is None or stopped or state is None or robot.interpolates:
             continue
         if state.condition is Condition.RUNNING:
             robot.send(way.at(now - clock.offset))

@@ -48,7 +48,7 @@ _PATIENCE, _POLL = 3, 5e-4
 class UrOptions:
     """Settings of a robot of Universal Robots."""
 
-    address: Annotated[str, Doc("address of the robot's controller")]
+    address: Annotated[str, Doc("address of the robot's controller; has to be given")] = ""
     period: Annotated[float, Doc("time between two states [s]; 0.002 for the e-series, 0.008 before")] = 0.002
     lookahead: Annotated[float, Doc("lookahead_time of servoJ, by about which the joints lag [s], 0.03 to 0.2")] = 0.03
     gain: Annotated[float, Doc("gain of servoJ, 100 to 2000")] = 300.0
@@ -59,8 +59,8 @@ class UrOptions:
     ] = False
 
     def __post_init__(self) -> None:
-        if not isinstance(self.address, str) or not self.address:
-            raise InvalidInputError("no address", "UrOptions", "Give that of the robot's controller.")
+        if not isinstance(self.address, str):
+            raise InvalidInputError("address is no text", "UrOptions", "Give that of the robot's controller.")
         keep_scalars(self, "period", high=0.02)
         keep_scalars(self, "delay", high=1.0, open_low=False)
         keep_scalars(self, "lookahead", "gain")
@@ -89,6 +89,8 @@ class UrDriver(ProcessDriver):
         if len(names) != _JOINTS:
             raise InvalidInputError(f"{len(names)} joints", "UrDriver", f"Give the names of {_JOINTS}.")
         o = self.options = as_options(UrOptions, options, "UrDriver: options")
+        if not o.address:
+            raise InvalidInputError("no address", "UrDriver", "Give that of the robot's controller.")
         for module in _MODULES:
             needed(module, "ur", "ur_rtde")
         super().__init__(names, "coopqp.drivers.ur", asdict(o), start=_START)
@@ -99,6 +101,8 @@ class UrDriver(ProcessDriver):
 @final
 class UrRobot:
     """The robot in its process, by ur_rtde."""
+
+    interpolates = False
 
     def __init__(self, options: UrOptions) -> None:
         self._options = options
@@ -161,6 +165,10 @@ class UrRobot:
         """Send positions that hold now (6,) [rad]."""
         o = self._options
         self._control.servoJ(q.tolist(), 0.0, 0.0, o.period, o.lookahead, o.gain)
+
+    def send_at(self, at: float, q: Array, now: float) -> None:
+        """Not used: ``servoJ`` takes no time."""
+        raise NotImplementedError
 
     def stop(self) -> None:
         """Bring the robot to rest, and end the program on it."""

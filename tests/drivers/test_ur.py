@@ -12,12 +12,11 @@ import pytest
 from places import CELL_FILES
 from ur_robots import UrStub
 
-from coopqp import InvalidInputError, QPController
+from coopqp import InvalidInputError, QPController, load_cell_file
 from coopqp.cli.main import main
 from coopqp.drivers import Command, Condition, ControlLoop, DriverError, LoopOptions, UrDriver
 from coopqp.drivers.ur import condition_of
 from coopqp.errors import MissingExtraError
-from coopqp.files.cellfile import load_cell_file
 
 pytestmark = [pytest.mark.slow, pytest.mark.filterwarnings("ignore::coopqp.errors.StiffnessWarning")]
 NAMES = tuple("abcdef")

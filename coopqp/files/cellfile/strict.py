@@ -81,13 +81,8 @@ def table_of(
     fields: dict[str, Any] = dict(first or {})
     for item in dataclasses.fields(options):
         kind = (replaced or {}).get(item.name) or _file_type(hints[item.name], f"{name}_{item.name}")
-        if kind is None:
-            continue
-        text = _meaning(texts[item.name], item)
-        if item.default is dataclasses.MISSING and item.default_factory is dataclasses.MISSING:
-            fields[item.name] = (kind, Field(description=text))
-        else:
-            fields[item.name] = (kind | None, Field(None, description=text))
+        if kind is not None:
+            fields[item.name] = (kind | None, Field(None, description=_meaning(texts[item.name], item)))
     return create_model(name, __base__=Table, __doc__=(options.__doc__ or "").split("\n", 1)[0], **fields)
 
 
