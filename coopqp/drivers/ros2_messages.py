@@ -4,6 +4,7 @@ Their layout is that of the interface definitions of ROS 2: https://docs.ros.org
 is imported where the driver runs: it needs cyclonedds. Annotations are read at run time, so they are not postponed.
 """
 
+# mypy: disable-error-code="misc, call-arg"
 from dataclasses import dataclass, field
 
 from cyclonedds.idl import IdlStruct

@@ -1,4 +1,4 @@
-"""The driver ros2 with arms behind topics: of rclpy where COOPQP_ROS_PYTHON names a Python with it, else of Cyclone DDS.
+"""The driver ros2 with arms behind topics: of rclpy where COOPQP_ROS_PYTHON names a Python with it, else of Cyclone.
 
 Each process of the tests has a domain of its own; nothing leaves the machine. The tests wait on states, not on clocks.
 """
@@ -122,10 +122,10 @@ def test_two_arms_of_a_cell_file_finish(tmp_path):
 
 
 def test_bad_settings_and_a_missing_package_are_said_before_anything_is_done(monkeypatch):
-    for bad in ({}, {"command_topic": "left"}, {"command_topic": "/a", "domain": 300}, {"command_topic": "/a", "lag": -1.0},
-                {"command_topic": "/a", "sends": "else"}, {"command_topic": "/a", "wrench_acts_on": "x"}):  # fmt: skip
+    for bad in ({"command_topic": ""}, {"command_topic": "left"}, {"domain": 300}, {"lag": -1.0}, {"sends": "else"},
+                {"wrench_acts_on": "x"}):  # fmt: skip
         with pytest.raises(InvalidInputError):
-            Ros2Driver(("a",), bad)
+            Ros2Driver(("a",), {"command_topic": "/a", **bad})
     with pytest.raises(InvalidInputError):
         Ros2Driver((), {"command_topic": "/a"})
     monkeypatch.setitem(sys.modules, "cyclonedds", None)

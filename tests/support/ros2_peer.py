@@ -143,9 +143,9 @@ def main(settings):
         message = state()
         message.header.stamp.sec, message.header.stamp.nanosec = int(now), int(1e9 * (now % 1.0))
         for part in ("name", "position", "velocity"):
-            values = [
-                x for arm in arms.values() for x in {"name": arm.joints, "position": arm.q}.get(part, arm.velocity)
-            ]
+            values = []
+            for arm in arms.values():
+                values += {"name": arm.joints, "position": arm.q, "velocity": arm.velocity}[part]
             setattr(message, part, values[::-1])
         peer.tell(peer.states, message)
         for publisher in peer.wrenches.values():
