@@ -22,7 +22,7 @@ from coopqp.control.interface import Controller
 from coopqp.control.options import QPOptions
 from coopqp.control.qp import QPController
 from coopqp.drivers.driver import RobotDriver
-from coopqp.drivers.sim import SimDriver, SimOptions
+from coopqp.drivers.kinds import DRIVER_KINDS, FOR_EVERY_ARM
 from coopqp.errors import CoopqpError, InvalidInputError, MissingExtraError, StartWarning, UnknownNameError
 from coopqp.files.cellfile.bodies import build_scene
 from coopqp.files.cellfile.build_arm import build_arm, build_placement, build_stiffness, in_radians
@@ -202,15 +202,17 @@ class CellRun:
         """A new driver for each arm, as the file's tables say.
 
         Args:
-            kind: "sim": robots in simulation that stand at the start, in place of those of the file.
+            kind: this kind for every arm, in place of those of the file, whose settings stay where they are of this
+                kind: ``sim``, robots in simulation that stand at the start.
 
         Raises:
-            CellFileError: an arm without a driver, or a driver without an arm.
+            CellFileError: an arm without a driver, a driver without an arm, or one that does not fit its arm.
+            MissingExtraError: a kind whose extra is not installed.
             UnknownNameError: no such kind.
         """
         cell, tables = self.scenario.cell, self.settings.drivers
-        if kind not in (None, "sim"):
-            raise UnknownNameError("driver", str(kind), ("sim",), "drive")
+        if kind is not None and kind not in FOR_EVERY_ARM:
+            raise UnknownNameError("driver", str(kind), FOR_EVERY_ARM, "drive")
         for name in tables:
             if name not in cell.arm_names:
                 raise CellFileError(f"{self.file}: drivers: no arm named '{name}'; arms: {', '.join(cell.arm_names)}.")
@@ -220,10 +222,14 @@ class CellRun:
                 raise CellFileError(
                     f"{self.file}: arm '{name}' has no driver. Give a table [drivers.{name}], or --driver sim."
                 )
+            table = tables[name] if name in tables and kind in (None, tables[name].kind) else None
+            what = DRIVER_KINDS[kind or tables[name].kind]
             joints = [joint.partition("/")[2] for joint in cell.joint_names[own]]
-            simulated = name in tables and tables[name].kind == "sim"
-            options = build_options(SimOptions, tables[name]) if simulated else SimOptions()
-            made[name] = SimDriver(joints, x[own], options)
+            options = {} if table is None else build_options(what.options, table)
+            try:
+                made[name] = what.make(joints, x[own], options)
+            except InvalidInputError as error:
+                raise CellFileError(f"{self.file}: drivers.{name}: {error}") from error
         return made
 
     @property
