@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from importlib import import_module
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from coopqp.collision.clearance import Clearance
 from coopqp.collision.scene import CollisionScene
@@ -25,6 +25,9 @@ from coopqp.simulation.recording.recording import Recording
 from coopqp.simulation.recording.scene import describe_object, read_object
 from coopqp.simulation.simulate import ProgressCallback, simulate
 from coopqp.spatial import Array
+
+if TYPE_CHECKING:
+    from coopqp.files.cellfile.build import CellRun
 
 #: Products of :func:`write_products` and their file names.
 PRODUCTS = {
@@ -150,9 +153,13 @@ def obtain_task(name: str) -> Task:
             raise UnknownNameError("cell file (.toml, .yaml) or scenario", name, SCENARIOS)
         return _scenario_task(name)
     require_readers()
-    run = load_cell_file(file)
+    return task_of(load_cell_file(file))
+
+
+def task_of(run: CellRun) -> Task:
+    """The task of a cell file that is read; errors as of :func:`obtain_task`."""
     if run.controller_kind != "qp":
-        raise InvalidInputError(f"the controller is '{run.controller_kind}'", str(file), 'Give kind = "qp".')
+        raise InvalidInputError(f"the controller is '{run.controller_kind}'", str(run.file), 'Give kind = "qp".')
     led = run.led()
     make: Any = led.controller
     s = run.scenario

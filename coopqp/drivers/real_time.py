@@ -102,10 +102,10 @@ class RealTimeRun:
         self._stopped = True
 
     def run(self, observe: Callable[[ControlStep], None] | None = None) -> None:
-        """Step until :meth:`stop`; ``observe`` is called with each step."""
+        """Step until :meth:`stop`, once at least; ``observe`` is called with each step."""
         time, h = self._time, self.controller.dt
         deadline = time.now()
-        while not self._stopped:
+        while True:
             while self._calls:
                 self._calls.popleft()()
             step = self.controller.step(self._measured)
@@ -125,6 +125,8 @@ class RealTimeRun:
                 left_out = int(late / h)
                 self.missed += left_out
                 deadline += left_out * h
+            if self._stopped:
+                break
 
     def lateness(self, last: int = _KEPT) -> tuple[float, float, float]:
         """Of the beginnings of so many last periods: p50, p99 and the largest [s]."""

@@ -210,6 +210,8 @@ def test_a_page_without_a_head_is_refused() -> None:
 class Counted:
     """A run that counts its calls."""
 
+    controller = SimpleNamespace(override=1.0)
+
     def __init__(self) -> None:
         self.calls: list[str] = []
         self.paused = threading.Event()

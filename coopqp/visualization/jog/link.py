@@ -36,7 +36,7 @@ class PageLink:
     """A page for a run that another thread steps. A page that is silent for 1 s pauses the run.
 
     Args:
-        run: takes calls: ``call(name, …)``; has ``controller`` and ``lateness(last)``.
+        run: takes calls: ``call(name, …)``; has ``controller`` and ``lateness(last)``, None where it is not known.
         recording: the cell at its start, as a run of one step.
         port: port to listen on; 0 for any free port.
         sticks: draw the arms as sticks instead of their shapes.
@@ -55,14 +55,17 @@ class PageLink:
         self._run = run
         self.delays: deque[float] = deque(maxlen=_KEPT)
         self._began, self._due = time.monotonic(), -math.inf
-        self._late, self._late_due = (0.0, 0.0), -math.inf
+        self._late: tuple[float, float] | None = None
+        self._late_due = -math.inf
         self._words, self._words_until = "", -math.inf
         self._silent, self._heard = True, -math.inf
         self._latest: deque[Seen] = deque(maxlen=1)
         self._fresh, self._closed = threading.Event(), False
         context = multiprocessing.get_context("spawn")
         self._link, theirs = context.Pipe()
-        self._process = context.Process(target=serve_page, args=(theirs, recording, port, sticks), daemon=True)
+        self._process = context.Process(
+            target=serve_page, args=(theirs, recording, port, sticks, run.controller.override), daemon=True
+        )
         self._process.start()
         theirs.close()
         try:
@@ -99,7 +102,8 @@ class PageLink:
         words = self._words if now < self._words_until else ""
         if now >= self._late_due:
             self._late_due = now + _LATE_EVERY
-            self._late = self._run.lateness(_LATE_OF)[1:]
+            late = self._run.lateness(_LATE_OF)
+            self._late = None if late is None else late[1:]
         time_s = now - self._began
         self._latest.append(Seen.of(step, self._run.controller, time=time_s, late=self._late, words=words))
         self._fresh.set()
@@ -144,7 +148,7 @@ class PageLink:
         self._words, self._words_until = words, time.monotonic() + _SHOWN
 
 
-def serve_page(link: Connection, recording: Recording, port: int, sticks: bool) -> None:
+def serve_page(link: Connection, recording: Recording, port: int, sticks: bool, override: float) -> None:
     """Serve the page until the link closes: the whole of its process."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # the run ends it
     lock = threading.Lock()
@@ -154,7 +158,7 @@ def serve_page(link: Connection, recording: Recording, port: int, sticks: bool) 
             link.send((time.monotonic(), name, values, named))
 
     try:
-        page = JogPage(recording, tell, port=port, sticks=sticks)
+        page = JogPage(recording, tell, port=port, sticks=sticks, override=override)
     except CoopqpError as error:
         link.send(error)
         return

@@ -47,16 +47,20 @@ class JogPage:
         tell: makes a call of the operator, or says ``"beat"``: the leading page lives. Called from any thread.
         port: port to listen on; 0 for any free port.
         sticks: draw the arms as sticks instead of their shapes.
+        override: where the slider begins.
 
     Attributes:
         url: address for the browser.
+        override: as it was asked for last.
 
     Raises:
         SceneError, MissingExtraError, InvalidInputError: as :class:`coopqp.visualization.LiveViewer`.
     """
 
-    def __init__(self, recording: Recording, tell: Tell, *, port: int = 8080, sticks: bool = False) -> None:
-        self._tell = tell
+    def __init__(
+        self, recording: Recording, tell: Tell, *, port: int = 8080, sticks: bool = False, override: float = 1.0
+    ) -> None:
+        self._tell, self.override = tell, override
         self._lock = threading.RLock()
         self._pages: list[_Lead | _Watcher] = []  # the first one leads
         self._lead_key, self._heard = "", -math.inf
@@ -160,6 +164,7 @@ class JogPage:
     def show(self, seen: Seen) -> None:
         """Show the cell as it is now."""
         now = time.monotonic()
+        self.override = seen.override
         text = "\n\n".join(seen.lines())
         with self._server.atomic():
             self.pose = self.stage.place(seen.q, seen.binding)
@@ -194,7 +199,9 @@ class _Lead:
         program.on_click(lambda event: page.call(calls[event.target.value]))
         hand = gui.add_button_group("by hand", ("Return", "Reset"))
         hand.on_click(lambda event: page.call(calls.get(event.target.value, "reset")))
-        self.override = gui.add_slider("override [%]", min=0, max=100, step=1, initial_value=100)
+        self.override = gui.add_slider(
+            "override [%]", min=0, max=100, step=1, initial_value=round(100.0 * page.override)
+        )
         self.override.on_update(lambda _: page.call("set_override", self.override.value / 100.0))
         self.speed = gui.add_slider("hand [m/s]", min=_SLOWEST, max=_FASTEST, step=0.01, initial_value=_SPEED)
         self.frame = gui.add_dropdown("axes", ("world", "object", *arms), initial_value="world")
