@@ -47,6 +47,8 @@ PROGRAMS: dict[str, tuple[str, set[str]]] = {
         "PhysicsPlant(l.cell, l.grasp, object_size=l.object_size, object_mass=l.object_mass).reset(l.q_start)",
         {"mujoco"},
     ),
+    "the driver ur": ("from coopqp.drivers import UrDriver; UrDriver('abcdef', {'address': 'nowhere'})", {"ur"}),
+    "the driver ros2": ("from coopqp.drivers import Ros2Driver; Ros2Driver('a', {'command_topic': '/a'})", {"ros2"}),
     "the public names": (
         "import coopqp; [getattr(coopqp, name) for name in coopqp.__all__]; coopqp.simulation.Disturbances",
         set(),

@@ -12,6 +12,8 @@ from .loop import ControlLoop as ControlLoop
 from .options import LoopOptions as LoopOptions
 from .recorder import MemoryRecorder as MemoryRecorder
 from .report import LoopReport as LoopReport
+from .ros2 import Ros2Driver as Ros2Driver, Ros2Options as Ros2Options
 from .sim import SimDriver as SimDriver, SimOptions as SimOptions
 from .simulated import ServoModel as ServoModel, SimulatedRobot as SimulatedRobot
 from .timing import LoopTime as LoopTime, ManualTime as ManualTime, MonotonicTime as MonotonicTime
+from .ur import UrDriver as UrDriver, UrOptions as UrOptions

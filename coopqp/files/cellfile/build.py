@@ -23,7 +23,7 @@ from coopqp.control.interface import Controller
 from coopqp.control.options import QPOptions
 from coopqp.control.qp import QPController
 from coopqp.drivers.driver import RobotDriver
-from coopqp.drivers.sim import SimDriver, SimOptions
+from coopqp.drivers.kinds import DRIVER_KINDS, FOR_EVERY_ARM
 from coopqp.errors import CoopqpError, InvalidInputError, MissingExtraError, StartWarning, UnknownNameError
 from coopqp.files.cellfile.bodies import build_scene
 from coopqp.files.cellfile.build_arm import build_cell, build_placement, build_stiffness, in_radians
@@ -204,15 +204,17 @@ class CellRun:
         """A new driver for each arm, as the file's tables say.
 
         Args:
-            kind: "sim": robots in simulation that stand at the start, in place of those of the file.
+            kind: this kind for every arm, in place of those of the file, whose settings stay where they are of this
+                kind: ``sim``, robots in simulation that stand at the start.
 
         Raises:
-            CellFileError: an arm without a driver, or a driver without an arm.
+            CellFileError: an arm without a driver, a driver without an arm, or one that does not fit its arm.
+            MissingExtraError: a kind whose extra is not installed.
             UnknownNameError: no such kind.
         """
         cell, tables = self.scenario.cell, self.settings.drivers
-        if kind not in (None, "sim"):
-            raise UnknownNameError("driver", str(kind), ("sim",), "drive")
+        if kind is not None and kind not in FOR_EVERY_ARM:
+            raise UnknownNameError("driver", str(kind), FOR_EVERY_ARM, "drive")
         for name in tables:
             if name not in cell.arm_names:
                 raise CellFileError(f"{self.file}: drivers: no arm named '{name}'; arms: {', '.join(cell.arm_names)}.")
@@ -222,16 +224,30 @@ class CellRun:
                 raise CellFileError(
                     f"{self.file}: arm '{name}' has no driver. Give a table [drivers.{name}], or --driver sim."
                 )
+            table = tables[name] if name in tables and kind in (None, tables[name].kind) else None
+            what = DRIVER_KINDS[kind or tables[name].kind]
             joints = [joint.partition("/")[2] for joint in cell.joint_names[own]]
-            simulated = name in tables and tables[name].kind == "sim"
-            options = build_options(SimOptions, tables[name]) if simulated else SimOptions()
-            made[name] = SimDriver(joints, x[own], options)
+            options = {} if table is None else build_options(what.options, table)
+            try:
+                made[name] = what.make(joints, x[own], options)
+            except InvalidInputError as error:
+                raise CellFileError(f"{self.file}: drivers.{name}: {error}") from error
         return made
 
     @property
     def sensors(self) -> dict[str, WristSensor]:
         """What the file says of the wrist sensors, by arm; for :class:`coopqp.ForceOptions`."""
         return known_sensors(self.settings)
+
+    def metadata(self) -> dict[str, Any]:
+        """What its recordings say of it."""
+        s = self.scenario
+        return {
+            "scenario": s.name,
+            "method": self.controller_kind,
+            "object": describe_object(s.object_size, s.T_object_body),
+            "settings": self.settings.model_dump(mode="json", exclude_none=True, exclude_unset=True),
+        }
 
     def run(self, *, progress: ProgressCallback | None = None, operate: Operate | None = None) -> Recording:
         """Run the controller on the plant; ``operate`` as in :func:`coopqp.simulate`.
@@ -240,12 +256,6 @@ class CellRun:
             CellFileError: the controller refuses the start.
         """
         s = self.scenario
-        metadata = {
-            "scenario": s.name,
-            "method": self.controller_kind,
-            "object": describe_object(s.object_size, s.T_object_body),
-            "settings": self.settings.model_dump(mode="json", exclude_none=True, exclude_unset=True),
-        }
         try:
             recording = simulate(
                 self.led().controller(),
@@ -256,7 +266,7 @@ class CellRun:
                 patience=self.settings.patience_s,
                 progress=progress,
                 operate=operate,
-                metadata=metadata,
+                metadata=self.metadata(),
             )
             return with_clearance(recording, self.scene, avoided=self.avoids)
         except InvalidInputError as error:

@@ -5,7 +5,7 @@ Prismatic joints use metres (m/s, m/s²) under the keys of either angle unit.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal, Union
 
 from annotated_types import Ge, Le, Len
 from pydantic import AfterValidator, Field, model_validator
@@ -13,7 +13,7 @@ from pydantic import AfterValidator, Field, model_validator
 from coopqp.baselines.independent import IndependentQPOptions
 from coopqp.baselines.pseudo_inverse import PseudoInverseOptions
 from coopqp.control.options import QPOptions
-from coopqp.drivers.sim import SimOptions
+from coopqp.drivers.kinds import DRIVER_KINDS
 from coopqp.errors import shown
 from coopqp.files.cellfile.basic import (
     MAX_ARMS,
@@ -284,7 +284,10 @@ PhysicsTable = table_of(
     first={"kind": (Literal["physics"], ...)},
 )
 
-SimTable = table_of(SimOptions, "SimTable", first={"kind": (Literal["sim"], ...)})
+_DRIVER_TABLES = tuple(
+    table_of(kind.options, f"{name.capitalize()}Table", first={"kind": (Literal[name], ...)})
+    for name, kind in DRIVER_KINDS.items()
+)
 
 #: Largest accepted errors: the run fails beyond them.
 _VerdictTable = table_of(Tolerances, "VerdictTable")
@@ -296,7 +299,7 @@ if TYPE_CHECKING:
     DriverTable = Any
 else:
     VerdictTable = _VerdictTable
-    DriverTable = SimTable
+    DriverTable = Annotated[Union[_DRIVER_TABLES], Field(discriminator="kind")]  # noqa: UP007  # of a tuple
     ControllerTable = Annotated[QPTable | PseudoInverseTable | IndependentTable, Field(discriminator="kind")]
     PlantTable = Annotated[KinematicTable | PhysicsTable, Field(discriminator="kind")]
 
