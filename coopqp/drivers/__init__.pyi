@@ -8,6 +8,7 @@ from .driver import (
     RobotState as RobotState,
 )
 from .engine import EngineCell as EngineCell, EngineRobot as EngineRobot
+from .franka import FrankaDriver as FrankaDriver, FrankaOptions as FrankaOptions
 from .loop import ControlLoop as ControlLoop
 from .options import LoopOptions as LoopOptions
 from .recorder import MemoryRecorder as MemoryRecorder
