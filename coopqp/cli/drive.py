@@ -42,7 +42,7 @@ def add_drive(commands: Any) -> None:
         "every driver at once.",
     )
     parser.add_argument("cell", type=Path, metavar="CELL", help="cell file (.toml or .yaml)")
-    parser.add_argument("--driver", choices=("sim",), help="this driver for every arm, in place of the file's")
+    parser.add_argument("--driver", choices=("sim", "engine"), help="this for every arm, in place of the file's")
     parser.add_argument(
         "--enable",
         nargs="?",
@@ -74,20 +74,25 @@ def run_drive(arguments: argparse.Namespace) -> int:
     if run.controller_kind != "qp":
         raise InvalidInputError(f"the controller is '{run.controller_kind}'", "drive", 'Give kind = "qp".')
     if arguments.enable is not None:
-        _ask(run.scenario.name, arguments.enable)
+        ask_for_name(run.scenario.name, arguments.enable)
     drivers = run.drivers(arguments.driver)
     try:
         if arguments.enable is None:
             return _dry_run(run, drivers, speed)
         return _drive(run, drivers, speed, arguments)
     finally:
-        for driver in drivers.values():
-            close = getattr(driver, "close", None)
-            if close is not None:
-                close()
+        close_drivers(drivers)
 
 
-def _ask(name: str, given: str) -> None:
+def close_drivers(drivers: dict[str, RobotDriver]) -> None:
+    """Close the drivers that can be closed."""
+    for driver in drivers.values():
+        close = getattr(driver, "close", None)
+        if close is not None:
+            close()
+
+
+def ask_for_name(name: str, given: str) -> None:
     """The cell's name has to be given, so that no other cell is moved."""
     if not given:
         if not sys.stdin.isatty():
@@ -201,7 +206,7 @@ def _drive(run: CellRun, drivers: dict[str, RobotDriver], speed: float, argument
         for line in refused:
             say("refused:", line)
         return _REFUSED
-    with _interrupts(loop) as interrupts:
+    with interrupts(loop) as seen:
         if not arguments.quiet:
             print(slower, flush=True)
         report = loop.run()
@@ -210,7 +215,7 @@ def _drive(run: CellRun, drivers: dict[str, RobotDriver], speed: float, argument
     if recorder is not None:
         recorder.recording({"scenario": run.scenario.name}).save(arguments.record)
         print_written([arguments.record], quiet=arguments.quiet)
-    if interrupts:
+    if seen:
         return _INTERRUPTED
     if not report.finished:
         say("failed:", report.reason)
@@ -241,7 +246,7 @@ def _bounded(run: CellRun) -> tuple[Any, str]:
 
 
 @contextlib.contextmanager
-def _interrupts(loop: ControlLoop) -> Iterator[list[int]]:
+def interrupts(loop: ControlLoop) -> Iterator[list[int]]:
     """Ctrl-C brakes all arms together; a second one stops every driver at once."""
     seen: list[int] = []
 

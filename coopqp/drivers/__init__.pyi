@@ -1,3 +1,4 @@
+from .commissioning import commission_sensors_by_drivers as commission_sensors_by_drivers
 from .driver import (
     Bodies as Bodies,
     Command as Command,

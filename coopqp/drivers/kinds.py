@@ -33,5 +33,5 @@ DRIVER_KINDS: Mapping[str, DriverKind] = {
     "ros2": DriverKind(Ros2Options, lambda joints, q, options: Ros2Driver(joints, options)),
     "ur": DriverKind(UrOptions, lambda joints, q, options: UrDriver(joints, options)),
 }
-#: Kinds that ``coopqp drive --driver`` takes for every arm: their settings have defaults.
-FOR_EVERY_ARM = ("sim",)
+#: What ``--driver`` takes for every arm: their settings have defaults. The engine has all arms at a time.
+FOR_EVERY_ARM = ("sim", "engine")
