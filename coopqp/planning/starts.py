@@ -150,16 +150,17 @@ def find_start(
     troubles: list[tuple[str, str]] = []
     for k, arm in enumerate(cell.arms):
         kinematics = ArmKinematics(arm)
+        own = samples.of_arm(k)
         seeds = np.empty((0, kinematics.n)) if near is None else near[None, cell.v_slices[k]][:, kinematics.columns]
         tries = [
-            arm_on_path(kinematics, samples, grasp.T_object_tool[k], roll=roll, seed_factor=seed_factor, near=seeds)
+            arm_on_path(kinematics, own, grasp.T_object_tool[k], roll=roll, seed_factor=seed_factor, near=seeds)
             for roll in rolls[k]
         ]
         best = max(tries, key=lambda t: t.feasible[0].score if t.feasible else -np.inf)
         if best.feasible:
             found.append((best, best.feasible[0]))
         else:
-            remedy = _remedy(kinematics, samples, grasp.T_object_tool[k], rolls[k])
+            remedy = _remedy(kinematics, own, grasp.T_object_tool[k], rolls[k])
             troubles.append((arm.name, f"{trouble(tries[0])}; {remedy}"))
     if troubles:
         raise NoStartError(tuple(name for name, _ in troubles), ". ".join(text for _, text in troubles) + ".")
@@ -178,9 +179,9 @@ def clear_rows(
 ) -> tuple[int, ...] | None:
     """Index of one start (n,) per arm, so that all margins are kept; None if there are none. The best come first."""
     trajectories = []
-    for arm, own, X, starts in zip(cell.arms, cell.v_slices, grasp.T_object_tool, options, strict=True):
+    for k, (arm, own, X, starts) in enumerate(zip(cell.arms, cell.v_slices, grasp.T_object_tool, options, strict=True)):
         kinematics = ArmKinematics(arm)
-        walks = kinematics.walk(samples.tool_poses(X), np.array(starts).reshape(-1, kinematics.n))
+        walks = kinematics.walk(samples.of_arm(k).tool_poses(X), np.array(starts).reshape(-1, kinematics.n))
         rest = np.clip(np.zeros(own.stop - own.start), cell.limits.lower[own], cell.limits.upper[own])
         trajectory = np.tile(rest, (*walks.q.shape[:2], 1))
         trajectory[:, :, kinematics.columns] = walks.q

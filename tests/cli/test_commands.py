@@ -13,12 +13,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from places import DOCS
 from processes import output, python
 
 from coopqp import Recording, load_cell_file, simulate
 from coopqp.cli import main as cli, runs
-from coopqp.files.cellfile import CELLS, example_path
+from coopqp.files.cellfile import example_path
 from coopqp.simulation import RecordingError, Tolerances, evaluate, read_run
 from coopqp.simulation.evaluation.assessment import why
 from coopqp.simulation.recording.scene import read_cell
@@ -116,21 +115,6 @@ def test_the_papers_file_prints_the_papers_figure(tmp_path: Path, capsys: pytest
 
 
 # -- the exit status -----------------------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize("name", CELLS)
-@pytest.mark.slow
-def test_the_cell_files_that_come_with_coopqp_hold(name: str, capsys: pytest.CaptureFixture[str]) -> None:
-    """Unchanged, in an empty folder. The page names the files that the first one writes."""
-    assert cli.main(["schema", "--example", name]) == 0
-    Path("cell.toml").write_text(capsys.readouterr().out, encoding="utf-8")
-    assert cli.main(["run", "cell.toml", "--quiet"]) == 0
-    assert capsys.readouterr() == ("", "")
-    page = (DOCS / "howto" / "cell-file.md").read_text(encoding="utf-8")
-    told = set(re.findall(r"`(out/paper_lift/[^`]+)`", page))
-    assert len(told) == 2
-    files = {file.as_posix() for file in Path().rglob("*") if file.is_file()} - {"cell.toml"}
-    assert files == {file.replace("paper_lift", name) for file in told}
 
 
 @pytest.mark.parametrize("product", list(runs.PRODUCTS))

@@ -11,12 +11,11 @@ import pytest
 import route_cases
 from marks import slow_but_first
 
-from coopqp import CollisionScene, InvalidInputError, JointLimits, LinePath, find_path
+from coopqp import CollisionScene, InvalidInputError, JointLimits, LinePath, find_path, inverse_kinematics
 from coopqp.collision import Body, Box, Capsule
 from coopqp.collision.distances import Distances
 from coopqp.collision.edges_plain import PlainEdges
 from coopqp.model.batch import ArmKinematics
-from coopqp.model.inverse_kinematics import inverse_kinematics
 from coopqp.native import compiled
 from coopqp.paths.geometry import blended
 from coopqp.planning import ArmGoal, FreeTurn, PathVerdict, Route, RouteVerdict, TurnedGoal

@@ -77,7 +77,8 @@ def test_any_command_may_be_sent(
         note=f"kernels: {kernels_used}; {longer}",
     )
     assert not violations
-    assert set(statuses) == set(Status), "each status was seen"
+    operated = {Status.JOGGING, Status.WAITING}  # no operator calls here, and no path has gates
+    assert set(statuses) == set(Status) - operated, "each status was seen"
     assert (
         min(statuses[s] for s in (Status.TRACKING, Status.SLOWED, Status.BLOCKED, Status.HOLDING))
         > 0.01 * steps.total()
