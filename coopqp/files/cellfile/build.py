@@ -23,7 +23,9 @@ from coopqp.control.interface import Controller
 from coopqp.control.options import QPOptions
 from coopqp.control.qp import QPController
 from coopqp.drivers.driver import RobotDriver
+from coopqp.drivers.engine import EngineCell
 from coopqp.drivers.kinds import DRIVER_KINDS, FOR_EVERY_ARM
+from coopqp.drivers.timing import MonotonicTime
 from coopqp.errors import CoopqpError, InvalidInputError, MissingExtraError, StartWarning, UnknownNameError
 from coopqp.files.cellfile.bodies import build_scene
 from coopqp.files.cellfile.build_arm import build_cell, build_placement, build_stiffness, in_radians
@@ -205,7 +207,8 @@ class CellRun:
 
         Args:
             kind: this kind for every arm, in place of those of the file, whose settings stay where they are of this
-                kind: ``sim``, robots in simulation that stand at the start.
+                kind: ``sim``, robots in simulation that stand at the start; ``engine``, robots in the physics engine
+                that hold the object there and tell their wrenches.
 
         Raises:
             CellFileError: an arm without a driver, a driver without an arm, or one that does not fit its arm.
@@ -215,6 +218,12 @@ class CellRun:
         cell, tables = self.scenario.cell, self.settings.drivers
         if kind is not None and kind not in FOR_EVERY_ARM:
             raise UnknownNameError("driver", str(kind), FOR_EVERY_ARM, "drive")
+        if kind == "engine":
+            s = self.scenario
+            engine = EngineCell(
+                self.physics_plant(), s.q_start, time=MonotonicTime(), period=s.dt, lags=[0.0] * len(s.cell)
+            )
+            return dict(engine.robots())
         for name in tables:
             if name not in cell.arm_names:
                 raise CellFileError(f"{self.file}: drivers: no arm named '{name}'; arms: {', '.join(cell.arm_names)}.")
