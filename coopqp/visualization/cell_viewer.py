@@ -17,7 +17,7 @@ from coopqp.output import check_file, write_files
 from coopqp.simulation.recording.recording import Recording
 from coopqp.visualization.cell_overview import Glance, shortfall
 from coopqp.visualization.run_view import ALERT, Stage
-from coopqp.visualization.viewer import LiveViewer, frame_camera, offline, page_of, plain
+from coopqp.visualization.viewer import LiveViewer, frame_camera, offline, page_of, plain_text
 
 _REACH = (124, 130, 138)
 #: What the page explains. Nothing on it plays.
@@ -59,8 +59,8 @@ class CellViewer(LiveViewer):
         gui = self._server.gui
         gui.configure_theme(show_share_button=False)
         verdict, *lines = [*found.lines(), *more.splitlines()]
-        text = "\n\n".join(plain(line) for line in lines)
-        gui.add_markdown(f"**{plain(found.name.replace('_', ' '))}**\n\n**{plain(verdict)}**\n\n{text}")
+        text = "\n\n".join(plain_text(line) for line in lines)
+        gui.add_markdown(f"**{plain_text(found.name.replace('_', ' '))}**\n\n**{plain_text(verdict)}**\n\n{text}")
         self._button = gui.add_button("Run", color="blue")
         self._button.on_click(lambda _: self._press())
         self._text = gui.add_markdown("")
@@ -85,7 +85,7 @@ class CellViewer(LiveViewer):
             try:
                 recording = self._run(progress=progress)
             except CoopqpError as error:
-                self._text.content = f"**refused**\n\n{plain(' '.join(str(error).split()))}"
+                self._text.content = f"**refused**\n\n{plain_text(' '.join(str(error).split()))}"
                 self._button.disabled = False
                 return 0
             self._server.scene.reset()

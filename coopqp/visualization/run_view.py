@@ -6,7 +6,6 @@ The scene has no windows, buttons or files. :mod:`coopqp.visualization.viewer` s
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -18,11 +17,11 @@ from coopqp.model.limits import BindingLimit, LimitKind
 from coopqp.simulation.evaluation import metrics
 from coopqp.simulation.evaluation.readings import Readings, read_run
 from coopqp.simulation.recording.recording import Recording
-from coopqp.simulation.recording.scene import SceneError, read_object, read_path
+from coopqp.simulation.recording.scene import read_object, read_path
 from coopqp.spatial import Array
 from coopqp.visualization.binding_words import Why
 from coopqp.visualization.renderer import Camera, Solid, body_solids, mesh_of, name_places, object_solids
-from coopqp.visualization.run_panel import nearest_pairs
+from coopqp.visualization.run_marks import ForceArrows, NearestLine, has_forces
 
 Colour = tuple[int, int, int]
 
@@ -32,15 +31,11 @@ _OBJECT: Colour = (76, 132, 191)
 _PATH: Colour = (0, 114, 178)
 _GOAL: Colour = (120, 126, 134)
 _STICK: Colour = (90, 98, 108)
-_FORCE: Colour = (0, 122, 90)
 #: Opacity of an object that forces are drawn in.
 _CLEAR = 0.5
 #: The grid of the floor, on a white and on a black page.
 _GRID_FINE: Colour = (176, 181, 187)
 _GRID: Colour = (140, 146, 154)
-#: Length of the longest force arrow, as a share of the scene; forces below the first have no arrow, none is larger than
-#: the second [N].
-_LONGEST_ARROW, _LEAST_FORCE, _MOST_FORCE = 0.16, 1e-3, 1e9
 #: Largest number of points of the drawn path.
 _PATH_POINTS = 200
 #: Elevation, azimuth and field of view of the camera [deg].
@@ -81,8 +76,6 @@ class Stage:
         self._path = read_path(recording.metadata) or self._followed()
         self._bodies = body_solids(recording.metadata)
         self._standing: list[tuple[str, Any, Colour]] = []  # all bodies by name, to mark them
-        self._nearest = _nearest(recording.metadata)
-        self._forces = _forces(recording)
         self._cloud = self._points()
         self.low, self.high = self._cloud.min(axis=0), self._cloud.max(axis=0)
         self._add_floor()
@@ -90,7 +83,9 @@ class Stage:
         self._add_object()
         self._add_path()
         self._add_bodies()
-        self._add_forces()
+        self._nearest = NearestLine(scene, recording.metadata, ALERT)
+        diagonal = float(np.linalg.norm(self.high - self.low))
+        self._forces = ForceArrows(scene, self.cell, recording, diagonal)
         self.show(0)
 
     def _followed(self) -> list[pin.SE3]:
@@ -201,7 +196,7 @@ class Stage:
     def _add_solid(self, place: str, solid: Solid) -> None:
         """Add a body that can be marked."""
         red, green, blue = (round(255 * c) for c in solid.colour)
-        inside = place.startswith("/object") and self._forces is not None  # forces point into the object
+        inside = place.startswith("/object") and has_forces(self.recording)  # forces point into the object
         mesh = _compact(solid.vertices, solid.triangles)
         look = {"color": (red, green, blue), "opacity": _CLEAR if inside else None, "flat_shading": True}
         handle = self._scene.add_mesh_simple(place, *mesh, **look)
@@ -232,70 +227,37 @@ class Stage:
             )
 
     def _add_bodies(self) -> None:
-        """Add what stands in the world, and a line between the bodies that are nearest to each other."""
+        """Add what stands in the world."""
         for i, solid in enumerate(self._bodies):
             self._add_solid(f"/bodies/{i}", solid)
-        self._gap: Any = None
-        if self._nearest is not None:
-            self._gap = self._scene.add_line_segments(
-                "/nearest", self._nearest[1][:1], colors=ALERT, thickness=3.0, thickness_units="screen"
-            )
-            self._gap_label = self._scene.add_label("/nearest/distance", "", anchor="bottom-left")
-
-    def _add_forces(self) -> None:
-        """Add an arrow for the force of each arm on the object, and its size."""
-        self._arrows: Any = None
-        if self._forces is None:
-            return
-        size = float(np.linalg.norm(self.high - self.low))
-        largest = max(float(np.linalg.norm(self._forces, axis=2).max(initial=0.0)), _LEAST_FORCE)
-        self._metres_per_newton = _LONGEST_ARROW * size / largest
-        self._arrows = self._scene.add_arrows(
-            "/forces", np.zeros((len(self.cell), 2, 3), dtype=np.float32), colors=_FORCE,
-            shaft_radius=0.004 * size, head_radius=0.009 * size, head_length=0.022 * size,
-        )  # fmt: skip
-        self._force_labels = [
-            self._scene.add_label(f"/forces/{name}", "", anchor="bottom-center") for name in self.cell.arm_names
-        ]
 
     # -- a sample ------------------------------------------------------------------------------------------------
 
     def show(self, sample: int) -> None:
         """Move the scene to a sample (0 to T) of the run, and mark the joints and arms with binding limits."""
-        q = self.recording.q[sample]
+        self._nearest.show(float(self.recording.time[sample]))
+        self._forces.show(sample)
+        self.place(self.recording.q[sample], self._why.limits(sample))
+
+    def place(self, q: Array, limits: tuple[BindingLimit, ...]) -> pin.SE3:
+        """Move the arms to ``q`` (nq,) and the object with them, and mark joints and arms with binding limits.
+
+        Returns:
+            T_world_object.
+        """
         pin.forwardKinematics(self.cell.model, self._data, q)
         for joint, frame in self._links.items():
             _place(frame, self._data.oMi[joint])
         for handle, joints in self._sticks:
             handle.points = self._stick_points(joints)
-        tools = metrics.tool_placements(self.cell, [q])[0]
-        _place(self._object, tools[0] * self._first_grasp)
-        self._show_forces(sample, tools)
+        pose: pin.SE3 = metrics.tool_placements(self.cell, [q])[0][0] * self._first_grasp
+        _place(self._object, pose)
         for label, place in zip(self._names, name_places(self.cell, q), strict=True):
             label.position = place
-        if self._gap is not None and self._nearest is not None:
-            times, points, distances = self._nearest
-            i = int(np.abs(times - self.recording.time[sample]).argmin())
-            self._gap.points = points[i : i + 1]
-            self._gap_label.position = points[i].mean(axis=0)
-            self._gap_label.text = f"{1e3 * distances[i]:.3g} mm"
-        limits = self._why.limits(sample)
         if limits != self._shown:
             self._mark(limits)
             self._shown = limits
-
-    def _show_forces(self, sample: int, tools: Sequence[pin.SE3]) -> None:
-        """Arrows of the forces after the step that ends at a sample, from the tools."""
-        if self._arrows is None or self._forces is None:
-            return
-        ends = []
-        for force, tool, label in zip(self._forces[max(sample - 1, 0)], tools, self._force_labels, strict=True):
-            size = float(np.linalg.norm(force))
-            along = tool.rotation @ force if size > _LEAST_FORCE else np.array([0.0, 0.0, _LEAST_FORCE])
-            tip = tool.translation + self._metres_per_newton * along
-            ends.append((tool.translation, tip))
-            label.position, label.text = tip, f"{size:.3g} N"
-        self._arrows.points = np.array(ends, dtype=np.float32)
+        return pose
 
     def put_object(self, pose: pin.SE3) -> None:
         """Show the object at another pose than in the first arm's hand: before a run the arms may not reach it."""
@@ -347,29 +309,6 @@ def _compact(vertices: Array, triangles: Any) -> tuple[Any, Any]:
     """A mesh in 32 bits; vertices that are equal in them are one."""
     points, index = np.unique(np.asarray(vertices, dtype=np.float32), axis=0, return_inverse=True)
     return points, index.reshape(-1)[np.asarray(triangles)].astype(np.uint32)
-
-
-def _forces(recording: Recording) -> Array | None:
-    """Forces of the arms on the object in the axes of the tools (T, N, 3) [N]; None if they were not recorded."""
-    if recording.wrenches is None or not recording.n_steps:
-        return None
-    return np.clip(np.nan_to_num(recording.wrenches[:, :, :3]), -_MOST_FORCE, _MOST_FORCE)
-
-
-def _nearest(metadata: Mapping[str, Any]) -> tuple[Array, Array, Array] | None:
-    """Times (T,) [s], nearest points (T, 2, 3) [m] and distances (T,) [m] of a recording; None if it has none."""
-    entry = metadata.get("clearance")
-    if not isinstance(entry, Mapping) or "points_m" not in entry:
-        return None
-    try:
-        times, points = (np.array(entry[key], dtype=float) for key in ("times_s", "points_m"))
-    except (KeyError, TypeError, ValueError, OverflowError) as error:
-        raise SceneError(f"the recording's nearest points are damaged ({error}).") from error
-    if points.shape != (len(times), 2, 3) or not len(times) or not np.isfinite(points).all():
-        raise SceneError("the recording's nearest points are damaged.")
-    found = nearest_pairs(metadata)
-    distances = found[1] if found is not None and len(found[1]) == len(times) else np.ptp(points, axis=1).max(axis=1)
-    return times, points.astype(np.float32), distances
 
 
 def _title(arm: str) -> str:

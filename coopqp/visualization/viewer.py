@@ -23,7 +23,7 @@ from coopqp.lazy import needed
 from coopqp.output import check_file, write_files
 from coopqp.simulation.evaluation.figures import worst_status
 from coopqp.simulation.recording.recording import Recording
-from coopqp.visualization.guarded import guarded_servers
+from coopqp.visualization.guarded import OwnScript, guarded_servers
 from coopqp.visualization.panel_page import (
     band_piece,
     cursor_style,
@@ -66,14 +66,14 @@ def require_viser() -> Any:
     return needed("viser", "viewer", "viser")
 
 
-def _serve(viser: Any, host: str, port: int) -> Any:
+def _serve(viser: Any, host: str, port: int, script: OwnScript | None = None) -> Any:
     """Start a server of viser without its printed banner. It refuses requests of foreign pages."""
     server = None
     try:
-        with guarded_servers(host), contextlib.redirect_stdout(io.StringIO()):
+        with guarded_servers(host, script), contextlib.redirect_stdout(io.StringIO()):
             server = viser.ViserServer(host=host, port=port, verbose=False)
     except CoopqpError:
-        _stop(server)
+        stop_server(server)
         raise
     return server
 
@@ -85,21 +85,22 @@ def offline() -> Iterator[Any]:
     try:
         yield server
     finally:
-        _stop(server)
+        stop_server(server)
 
 
-def _opened(host: str, port: int) -> Any:
-    """A server of viser, or a named error."""
+def open_server(host: str, port: int, script: OwnScript | None = None) -> Any:
+    """A server of viser, or a named error; :func:`stop_server` ends it."""
     viser = require_viser()
     if isinstance(port, bool) or not isinstance(port, int) or not 0 <= port < 65536:
         raise InvalidInputError(f"port is {port!r}", "LiveViewer", "Give a number from 0 (any) to 65535.")
     try:
-        return _serve(viser, host, port)
+        return _serve(viser, host, port, script)
     except OSError as error:
         raise InvalidInputError(f"cannot listen on {host}:{port} ({error})", "LiveViewer", "Use --port 0.") from error
 
 
-def _stop(server: Any) -> None:
+def stop_server(server: Any) -> None:
+    """Stop serving."""
     with contextlib.redirect_stdout(io.StringIO()):
         server.stop()
 
@@ -209,11 +210,11 @@ class LiveViewer:
 
     def _open(self, show: Callable[[], None], *, host: str, port: int, sticks: bool) -> None:
         self._sticks = sticks
-        self._server = _opened(host, port)
+        self._server = open_server(host, port)
         try:
             show()
         except BaseException:
-            _stop(self._server)
+            stop_server(self._server)
             raise
         self.url = f"http://{host}:{self._server.get_port()}"
 
@@ -230,14 +231,14 @@ class LiveViewer:
 
     def close(self) -> None:
         """Stop serving."""
-        _stop(self._server)
+        stop_server(self._server)
 
     def _add_controls(self, recording: Recording) -> None:
         gui = self._server.gui
         self._look(dark=False)
         gui.main_panel.dock_right()
         name, made = title_of(recording)
-        gui.add_markdown(f"**{plain(name)}**\n\n{plain(made)}")
+        gui.add_markdown(f"**{plain_text(name)}**\n\n{plain_text(made)}")
         end = max(float(recording.time[-1]), 1e-6)
         self.panel = RunPanel(self.stage.cell, recording, self.stage.readings)
         gui.add_html(panel_style(self.panel, until=end))
@@ -305,6 +306,6 @@ class LiveViewer:
             last = now
 
 
-def plain(text: str) -> str:
+def plain_text(text: str) -> str:
     """Text with escaped Markdown characters."""
     return "".join(f"\\{c}" if c in "\\`*_{}[]<>#|~" else c for c in text)
