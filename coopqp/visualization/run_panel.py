@@ -5,7 +5,8 @@ Numbers and words only; :mod:`coopqp.visualization.panel_page` makes a page of t
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+import itertools
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -120,7 +121,7 @@ class RunPanel:
         end: time at its end [s].
         curves: what is drawn over time: path speed, chain error, and where the run has them distances and forces.
         statuses: each span of one status: the status, start and end [s].
-        arms: names of the arms with their joints.
+        arms: names of the arms with their joints; and robots of several arms with those that these share.
 
     Raises:
         SceneError, RecordingError: the recording is damaged.
@@ -132,10 +133,7 @@ class RunPanel:
         self.end = max(float(recording.time[-1]), 1e-9)
         self.curves = _curves(cell, recording, readings)
         self.statuses = _statuses(recording)
-        self.arms = tuple(
-            (name, tuple(Joint(joint.split("/", 1)[-1], has) for joint, has in zip(joints, limited, strict=True)))
-            for name, joints, limited in _joints(cell)
-        )
+        self.arms = _owners(cell)
 
     def moment(self, sample: int) -> Moment:
         """The run at a sample (0 to T)."""
@@ -159,11 +157,14 @@ class RunPanel:
         )
 
 
-def _joints(cell: RobotCell) -> list[tuple[str, Sequence[str], Sequence[bool]]]:
+def _owners(cell: RobotCell) -> tuple[tuple[str, tuple[Joint, ...]], ...]:
+    """The joints of each arm, and of each robot those that move several of its arms, in the order of the cell."""
     limited = (np.isfinite(cell.limits.lower) & np.isfinite(cell.limits.upper)).tolist()
-    return [
-        (name, cell.joint_names[own], limited[own]) for name, own in zip(cell.arm_names, cell.v_slices, strict=True)
-    ]
+    owned = [(*name.split("/", 1), has) for name, has in zip(cell.joint_names, limited, strict=True)]
+    groups = itertools.groupby(owned, key=lambda joint: joint[0])
+    return tuple(
+        (str(owner), tuple(Joint(str(name), bool(has)) for _, name, has in joints)) for owner, joints in groups
+    )
 
 
 def _statuses(recording: Recording) -> tuple[tuple[Status, float, float], ...]:

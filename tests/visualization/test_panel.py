@@ -14,6 +14,7 @@ import numpy as np
 import pytest
 
 from coopqp import Recording, Status
+from coopqp.files.cellfile import example_path, load_cell_task
 from coopqp.model.limits import BindingLimit, LimitKind
 from coopqp.scenarios import Scenario
 from coopqp.simulation import SceneError, read_run
@@ -116,6 +117,23 @@ def test_joints_stand_between_their_limits(panel: RunPanel, run: Recording, pape
     piece = joints_piece(panel, moment)
     assert piece.count('class="coopqp-bar') - piece.count('class="coopqp-bars') == 18
     assert piece.count("coopqp-bound") == 1
+
+
+def test_joints_that_arms_share_have_bars_of_their_own() -> None:
+    """Each joint of the cell has one bar, in the order of the moments; a lift of two arms stands by itself."""
+    task = load_cell_task(example_path("torso_lift"))
+    q = task.cell.configuration(np.zeros(task.cell.nv))
+    rest = Recording(
+        time=np.array([0.0, 1.0]), q=np.array([q, q]), q_command=np.array([q, q]), velocity=np.zeros((1, task.cell.nv)),
+        clock=np.array([0.0, 1.0]), rate=np.ones(1), status=np.zeros(1), reference=np.tile(np.eye(4), (2, 1, 1)),
+        T_object_tool=np.array([T.homogeneous for T in task.grasp.T_object_tool]), notes=(), metadata={},
+    )  # fmt: skip
+    panel = RunPanel(task.cell, rest, read_run(task.cell, rest))
+    names = [f"{owner}/{joint.name}" for owner, joints in panel.arms for joint in joints]
+    assert names == list(task.cell.joint_names)
+    assert [(owner, len(joints)) for owner, joints in panel.arms] == [("lift", 1), ("left", 6), ("right", 6)]
+    moment = panel.moment(0)
+    assert joints_piece(panel, moment).count("--p:") == len(moment.joints) == task.cell.nv
 
 
 def _held(page: str) -> dict[str, Any]:
