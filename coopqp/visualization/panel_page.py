@@ -82,7 +82,7 @@ def plot_piece(panel: RunPanel, curve: Curve, *, last: bool = False) -> str:
         points = "L".join(f"{a:.1f} {b:.1f}" for a, b in zip(x, y, strict=True))
         look = "" if single else f' style="stroke: {_colour(k)}; stroke-dasharray: {_DASHES[k % len(_DASHES)]}"'
         drawn.append(f'<path d="M{points}"{look}/>')
-    labels = [f'<small style="top: 0">largest {_number(curve.largest)} {_text(curve.unit)}</small>']
+    labels = [f'<small style="top: 0">largest {_text(curve.largest_text)}</small>']
     if curve.bound is not None and bottom <= curve.bound <= top:
         y = _HIGH * (top - curve.bound) / (top - bottom)
         drawn.append(f'<line x1="0" x2="{_WIDE:g}" y1="{y:.1f}" y2="{y:.1f}"/>')
@@ -90,7 +90,7 @@ def plot_piece(panel: RunPanel, curve: Curve, *, last: bool = False) -> str:
                       f"{_text(curve.bound_name)} {_number(curve.bound)} {_text(curve.unit)}</small>")  # fmt: skip
     keys = "" if single else _line_keys(curve.names)
     ends = f'<p class="coopqp-ends"><span>0 s</span><span>{panel.end:.3g} s</span></p>' if last else ""
-    picture = _svg("".join(drawn), f"{curve.title} over time, at most {_number(curve.largest)} {curve.unit}")
+    picture = _svg("".join(drawn), f"{curve.title} over time, largest {curve.largest_text}")
     return _piece(f'<div class="coopqp-plot">{picture}{"".join(labels)}</div>{keys}{ends}')
 
 

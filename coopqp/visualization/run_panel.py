@@ -64,6 +64,12 @@ class Curve:
         return float(np.nanmax(self.values, initial=0.0))
 
     @property
+    def largest_text(self) -> str:
+        """The largest drawn value with its unit."""
+        rounding = self.unit == "µm" and self.largest < 1e3 * _ROUNDING
+        return "below 0.001 µm" if rounding else f"{self.largest:.3g} {self.unit}"
+
+    @property
     def top(self) -> float:
         """Upper end of the plot: above the largest value, with space for words."""
         near = self.bound if self.bound is not None and self.bound < 4.0 * self.largest else 0.0

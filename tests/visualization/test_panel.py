@@ -13,9 +13,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from coopqp import Recording, Status
+from coopqp import BindingLimit, LimitKind, Recording, Status
 from coopqp.files.cellfile import example_path, load_cell_task
-from coopqp.model.limits import BindingLimit, LimitKind
 from coopqp.scenarios import Scenario
 from coopqp.simulation import SceneError, read_run
 from coopqp.visualization.binding_words import Why, limit_words
