@@ -1,4 +1,4 @@
-from .cell import Arm as Arm, JointLimits as JointLimits, RobotCell as RobotCell
+from .cell import Arm as Arm, JointLimits as JointLimits, Robot as Robot, RobotCell as RobotCell
 from .chain import Chain as Chain
 from .common_error import CommonError as CommonError
 from .free_directions import FreedCell as FreedCell, freed_cell as freed_cell, refuse_loose as refuse_loose

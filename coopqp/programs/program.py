@@ -139,6 +139,7 @@ class Program(SegmentedPath):
         self, cell: RobotCell, grasp: Grasp, phases: Sequence[Phase], *, signals: Mapping[str, float] | None = None
     ) -> None:
         grasp.check_arms(cell)
+        cell.refuse_shared("Program")
         self.phases = tuple(phases)
         if not self.phases:
             raise InvalidInputError("no phase", "Program", "Give at least one.")

@@ -6,7 +6,6 @@ import contextlib
 import io
 import re
 import runpy
-import subprocess
 import sys
 from pathlib import Path
 
@@ -98,7 +97,7 @@ def compare(shown: str, printed: str, page: str, *, numbers: bool = True) -> Non
 
 def test_each_tutorial_and_how_to_shows_a_picture() -> None:
     for page in (DOCS / "index.md", *DOCS.glob("tutorials/*.md"), *DOCS.glob("howto/*.md")):
-        assert re.search(r"!\[[^\]]{20,}\]\([^)]+\.png\)", page.read_text(encoding="utf-8")), page.name
+        assert re.search(r"!\[[^\]]{20,}\]\([^)]+\.(png|gif)\)", page.read_text(encoding="utf-8")), page.name
 
 
 def test_the_reference_has_every_public_name() -> None:
@@ -157,17 +156,6 @@ def test_links_lead_somewhere() -> None:
     for page in PAGES:
         for target in re.findall(r"\]\((?!https?://|#)([^)#]+)", page.read_text(encoding="utf-8")):
             assert (page.parent / target).exists(), f"{page.name}: {target}"
-
-
-@pytest.mark.slow
-def test_the_pages_build_without_warnings(tmp_path: Path) -> None:
-    done = subprocess.run(
-        [sys.executable, "-m", "sphinx", "-W", "--keep-going", "-q", "-b", "html", str(DOCS), str(tmp_path / "html")],
-        capture_output=True, text=True, timeout=300, check=False,
-    )  # fmt: skip
-    assert done.returncode == 0, done.stderr
-    page = (tmp_path / "html" / "tutorials" / "1-paper-lift.html").read_text(encoding="utf-8")
-    assert "paper_lift" in page
 
 
 @pytest.mark.slow
