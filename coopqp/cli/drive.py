@@ -43,7 +43,7 @@ def add_drive(commands: Any) -> None:
         "every driver at once.",
     )
     parser.add_argument("cell", type=Path, metavar="CELL", help="cell file (.toml or .yaml)")
-    parser.add_argument("--driver", choices=("sim",), help="this driver for every arm, in place of the file's")
+    parser.add_argument("--driver", choices=("sim", "engine"), help="this for every arm, in place of the file's")
     parser.add_argument(
         "--enable",
         nargs="?",
@@ -86,13 +86,18 @@ def _drivers(run: CellRun, kind: str | None) -> Iterator[dict[str, RobotDriver]]
     try:
         yield drivers
     finally:
-        for driver in drivers.values():
-            close = getattr(driver, "close", None)
-            if close is not None:
-                close()
+        close_drivers(drivers)
 
 
-def _ask(name: str, given: str) -> None:
+def close_drivers(drivers: dict[str, RobotDriver]) -> None:
+    """Close the drivers that can be closed."""
+    for driver in drivers.values():
+        close = getattr(driver, "close", None)
+        if close is not None:
+            close()
+
+
+def ask_for_name(name: str, given: str) -> None:
     """The cell's name has to be given, so that no other cell is moved."""
     if not given:
         if not sys.stdin.isatty():
@@ -200,7 +205,7 @@ def drive_enabled(
     lead: Callable[[ControlLoop], PageLink] | None = None,
 ) -> int:
     """Move the robots of a cell, after asking for its name; ``lead`` opens a page that leads the loop."""
-    _ask(run.scenario.name, arguments.enable)
+    ask_for_name(run.scenario.name, arguments.enable)
     with _drivers(run, arguments.driver) as drivers:
         return _drive(run, drivers, speed, arguments, lead)
 
@@ -232,7 +237,7 @@ def _drive(
             link = lead(loop)
             page.callback(link.close)
             shown.show = link.observe
-        interrupts = page.enter_context(_interrupts(loop))
+        seen = page.enter_context(interrupts(loop))
         if not arguments.quiet:
             print(slower, flush=True)
         report = loop.run()
@@ -241,7 +246,7 @@ def _drive(
     if recorder is not None:
         recorder.recording({"scenario": run.scenario.name}).save(arguments.record)
         print_written([arguments.record], quiet=arguments.quiet)
-    if interrupts:
+    if seen:
         return _INTERRUPTED
     if not report.finished:
         say("failed:", report.reason)
@@ -272,7 +277,7 @@ def _bounded(run: CellRun) -> tuple[Any, str]:
 
 
 @contextlib.contextmanager
-def _interrupts(loop: ControlLoop) -> Iterator[list[int]]:
+def interrupts(loop: ControlLoop) -> Iterator[list[int]]:
     """Ctrl-C brakes all arms together; a second one stops every driver at once."""
     seen: list[int] = []
 

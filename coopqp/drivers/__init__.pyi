@@ -1,3 +1,4 @@
+from .commissioning import commission_sensors_by_drivers as commission_sensors_by_drivers
 from .driver import (
     Bodies as Bodies,
     Command as Command,
@@ -8,6 +9,7 @@ from .driver import (
     RobotState as RobotState,
 )
 from .engine import EngineCell as EngineCell, EngineRobot as EngineRobot
+from .franka import FrankaDriver as FrankaDriver, FrankaOptions as FrankaOptions
 from .loop import ControlLoop as ControlLoop
 from .options import LoopOptions as LoopOptions
 from .recorder import MemoryRecorder as MemoryRecorder

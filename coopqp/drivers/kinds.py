@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from coopqp.drivers.driver import RobotDriver
+from coopqp.drivers.franka import FrankaDriver, FrankaOptions
 from coopqp.drivers.ros2 import Ros2Driver, Ros2Options
 from coopqp.drivers.sim import SimDriver, SimOptions
 from coopqp.drivers.ur import UrDriver, UrOptions
@@ -28,8 +29,9 @@ class DriverKind:
 
 DRIVER_KINDS: Mapping[str, DriverKind] = {
     "sim": DriverKind(SimOptions, SimDriver),
+    "franka": DriverKind(FrankaOptions, lambda joints, q, options: FrankaDriver(joints, options)),
     "ros2": DriverKind(Ros2Options, lambda joints, q, options: Ros2Driver(joints, options)),
     "ur": DriverKind(UrOptions, lambda joints, q, options: UrDriver(joints, options)),
 }
-#: Kinds that ``coopqp drive --driver`` takes for every arm: their settings have defaults.
-FOR_EVERY_ARM = ("sim",)
+#: What ``--driver`` takes for every arm: their settings have defaults. The engine has all arms at a time.
+FOR_EVERY_ARM = ("sim", "engine")

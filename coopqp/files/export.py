@@ -330,7 +330,7 @@ class Messages:
     def _trajectories(self, piece: slice, positions: Array) -> Iterator[tuple[str, Any]]:
         velocities = knot_velocities(self._recording, piece)
         times = [_nanoseconds(t) for t in self._recording.time[piece] - self._recording.time[piece.start]]
-        for name, own in zip(self._cell.arm_names, self._cell.v_slices, strict=True):
+        for name, own in self._cell.blocks.items():
             points = [
                 self._make(
                     "trajectory_msgs/msg/JointTrajectoryPoint",

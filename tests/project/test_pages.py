@@ -30,7 +30,7 @@ from coopqp.visualization import plots
 PAGES = [ROOT / "README.md", ROOT / "benchmarks" / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]
 BLOCK = re.compile(r"^```(\S+)[^\n]*\n(.*?)^```$", re.M | re.S)
 #: Languages that are shown only: outputs and diagrams.
-SHOWN = {"text", "{literalinclude}", "{eval-rst}", "{toctree}"}
+SHOWN = {"text", "{literalinclude}", "{eval-rst}", "{toctree}", "{index}"}
 #: Programs of others, with the lines in which they may stand.
 OTHERS = {"qpbenchmark": "benchmarks/README.md", "cd": "benchmarks/README.md"}
 
@@ -187,11 +187,11 @@ def run_driver(block: str, place: Path) -> None:
     assert load_cell_file(file).settings.drivers["left"].lag == 0.04
 
 
-def make_driver(block: str, place: Path) -> None:
-    """The table of the page makes a driver of an arm with six joints."""
+def make_driver(block: str, place: Path, cell: str = "two_ur10") -> None:
+    """The table of the page makes a driver of an arm of a cell."""
     file = place / "driven.toml"
     right = block.replace("[drivers.left]", "[drivers.right]")
-    text = (CELLS / "two_ur10.toml").read_text(encoding="utf-8")
+    text = (CELLS / f"{cell}.toml").read_text(encoding="utf-8")
     file.write_text(f"{text}\n{block}\n{right}", encoding="utf-8")
     assert set(load_cell_file(file).drivers()) == {"left", "right"}
 
@@ -202,6 +202,7 @@ TOML: dict[str, Callable[[str, Path], None]] = {
     "howto/ros2.md": make_driver,
     "howto/ur.md": make_driver,
     "howto/four-cells.md": run_arm,
+    "howto/franka.md": lambda block, place: make_driver(block, place, "bar"),
 }
 
 

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import contextlib
 import importlib
+import math
 import warnings
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -22,22 +23,23 @@ from coopqp.control.interface import Controller
 from coopqp.control.options import QPOptions
 from coopqp.control.qp import QPController
 from coopqp.drivers.driver import RobotDriver
+from coopqp.drivers.engine import EngineCell
 from coopqp.drivers.kinds import DRIVER_KINDS, FOR_EVERY_ARM
+from coopqp.drivers.timing import MonotonicTime
 from coopqp.errors import CoopqpError, InvalidInputError, MissingExtraError, StartWarning, UnknownNameError
 from coopqp.files.cellfile.bodies import build_scene
-from coopqp.files.cellfile.build_arm import build_arm, build_placement, build_stiffness, in_radians
+from coopqp.files.cellfile.build_arm import build_cell, build_placement, build_stiffness, in_radians
+from coopqp.files.cellfile.build_phases import build_program, first_pose
 from coopqp.files.cellfile.error import CellFileError
 from coopqp.files.cellfile.explain import explain, in_words_of_the_file
+from coopqp.files.cellfile.path_tables import HoldTable, LineTable, TimedTable, WaypointsTable
 from coopqp.files.cellfile.renamed import renewed
 from coopqp.files.cellfile.schema import (
     MAX_STEPS,
     CellFile,
     CommonErrorTable,
-    HoldTable,
-    LineTable,
+    FreeTable,
     StartTable,
-    TimedTable,
-    WaypointsTable,
 )
 from coopqp.files.cellfile.search_tables import SearchTable
 from coopqp.files.cellfile.searched import SearchTask, search_task
@@ -48,6 +50,7 @@ from coopqp.forces.wrist_sensor import SensorMaps, WristSensor
 from coopqp.model.branches import amount
 from coopqp.model.cell import RobotCell, slides
 from coopqp.model.common_error import CommonError
+from coopqp.model.free_directions import freed_cell
 from coopqp.model.grasp import Grasp
 from coopqp.model.inverse_kinematics import inverse_kinematics
 from coopqp.model.shapes import Body, Box
@@ -56,6 +59,7 @@ from coopqp.paths.scenario import Scenario
 from coopqp.paths.timed import TimedPath
 from coopqp.planning.self_motion import led_path
 from coopqp.planning.starts import find_start
+from coopqp.planning.tools_on_object import tools_move
 from coopqp.simulation.evaluation.assessment import Tolerances
 from coopqp.simulation.evaluation.closeness import default_scene, with_clearance
 from coopqp.simulation.events import Operate
@@ -171,7 +175,7 @@ class CellRun:
 
     def led(self) -> CellRun:
         """The same run with its redundant arms led as its check proves; itself where nothing is proved or led."""
-        if not isinstance(self.options, QPOptions) or self.options.preview is None:
+        if not isinstance(self.options, QPOptions) or self.options.preview is None or tools_move(self.scenario.path):
             return self
         s, scene = self.scenario, self.scene if self.avoids else None
         path = led_path(s.cell, s.grasp, s.path, q_start=s.q_start, posture=self.options.posture, scene=scene)
@@ -203,7 +207,8 @@ class CellRun:
 
         Args:
             kind: this kind for every arm, in place of those of the file, whose settings stay where they are of this
-                kind: ``sim``, robots in simulation that stand at the start.
+                kind: ``sim``, robots in simulation that stand at the start; ``engine``, robots in the physics engine
+                that hold the object there and tell their wrenches.
 
         Raises:
             CellFileError: an arm without a driver, a driver without an arm, or one that does not fit its arm.
@@ -213,6 +218,12 @@ class CellRun:
         cell, tables = self.scenario.cell, self.settings.drivers
         if kind is not None and kind not in FOR_EVERY_ARM:
             raise UnknownNameError("driver", str(kind), FOR_EVERY_ARM, "drive")
+        if kind == "engine":
+            s = self.scenario
+            engine = EngineCell(
+                self.physics_plant(), s.q_start, time=MonotonicTime(), period=s.dt, lags=[0.0] * len(s.cell)
+            )
+            return dict(engine.robots())
         for name in tables:
             if name not in cell.arm_names:
                 raise CellFileError(f"{self.file}: drivers: no arm named '{name}'; arms: {', '.join(cell.arm_names)}.")
@@ -317,6 +328,8 @@ def load_search(file: Path) -> tuple[CellFile, SearchTask]:
     """Read a cell file, and the search for a way round in it: its own, or one between the ends of its path."""
     settings = read(file)
     with _errors_of(file):
+        if settings.phases:
+            raise CoopqpError("no way round is searched for phases: give the path of one phase, in a file of its own.")
         return settings, _parts(settings, file.parent).search()
 
 
@@ -353,10 +366,12 @@ def _task(file: CellFile, folder: Path) -> CellTask:
 def _parts(file: CellFile, folder: Path) -> _Parts:
     """The task, without a search."""
     build_options(Tolerances, file.verdict)  # a bad one is refused before any work is done
-    cell = RobotCell([build_arm(arm, folder) for arm in file.arms])
+    cell = build_cell(file.arms, file.robots, folder)
     path: ObjectPath | None = None
     if isinstance(file.path, SearchTable):
         T_start = build_placement(file.path.start)
+    elif file.path is None:
+        T_start = first_pose(file.phases, _path)
     else:
         path = _path(file.path)
         T_start = path.pose(0.0)
@@ -371,6 +386,13 @@ def _parts(file: CellFile, folder: Path) -> _Parts:
             "a latched grasp follows from the start, so no start can be found for it: give start.positions_deg or "
             "start.positions_rad, or another kind of grasp."
         )
+    if file.grasp.free:
+        freed = freed_cell(cell, _freed(grasp, file.grasp.free))
+        if q_start is not None:
+            q_start = freed.configuration(cell.positions(q_start))
+        cell, grasp = freed.cell, freed.grasp
+    if file.path is None:
+        path = build_program(file.phases, file.signals_s, cell, grasp, _path)
     near = q_start is not None and file.start.inverse_kinematics and not latched
     box = Body("object", Box(file.object.size_m), build_placement(file.object.centre))
     table = file.collision
@@ -413,24 +435,25 @@ def build(file: CellFile, folder: Path) -> CellRun:
     return CellRun(scenario, kind, options, file.settle_s, file.longest_s, file, disturbances, stiffness, scene, avoids)
 
 
-def _by_arm(given: Mapping[str, Any], cell: RobotCell, where: str) -> list[Any]:
-    """The values of a table with one key per arm, in the order of the arms. Every arm must have a key."""
+def _by_name(given: Mapping[str, Any], names: Sequence[str], where: str) -> list[Any]:
+    """The values of a table with one key per arm (or robot), in their order. Each must have a key."""
     for name in given:
-        if name not in cell.arm_names:
-            raise UnknownNameError("arm", name, cell.arm_names, where)
-    missing = [name for name in cell.arm_names if name not in given]
+        if name not in names:
+            raise UnknownNameError("arm", name, names, where)
+    missing = [name for name in names if name not in given]
     if missing:
         raise CoopqpError(f"{where}: arm '{missing[0]}' is missing.")
-    return [given[name] for name in cell.arm_names]
+    return [given[name] for name in names]
 
 
 def _start(table: StartTable, cell: RobotCell) -> Array:
     degrees = table.positions_deg is not None
     where = f"start.positions_{'deg' if degrees else 'rad'}"
-    values = _by_arm(table.positions_deg or table.positions_rad or {}, cell, where)
+    blocks = cell.blocks
+    values = _by_name(table.positions_deg or table.positions_rad or {}, tuple(blocks), where)
     sliding = slides(cell)
     parts = []
-    for name, own, numbers in zip(cell.arm_names, cell.v_slices, values, strict=True):
+    for (name, own), numbers in zip(blocks.items(), values, strict=True):
         parts.append(in_radians(numbers, sliding[own], f"{where}.{name}", degrees=degrees))
     return cell.configuration(np.concatenate(parts))
 
@@ -441,7 +464,17 @@ def _grasp(file: CellFile, cell: RobotCell) -> Grasp:
         grasp.check_arms(cell)
         return grasp
     assert file.grasp.kind == "tools"
-    return Grasp(tuple(build_placement(tool) for tool in _by_arm(file.grasp.tools, cell, "grasp.tools")))
+    return Grasp(tuple(build_placement(tool) for tool in _by_name(file.grasp.tools, cell.arm_names, "grasp.tools")))
+
+
+def _freed(grasp: Grasp, tables: Sequence[FreeTable]) -> Grasp:
+    """A grasp that gives way as the tables say."""
+    for table in tables:
+        degrees = table.range_deg is not None
+        low, high = table.range_deg or table.range_rad or table.range_m or (0.0, 0.0)
+        ends = (math.radians(low), math.radians(high)) if degrees else (low, high)
+        grasp = grasp.freed(table.arm, table.axis, range=ends)
+    return grasp
 
 
 def _path(path: LineTable | WaypointsTable | HoldTable | TimedTable) -> ObjectPath:

@@ -18,14 +18,12 @@ from coopqp.errors import shown
 from coopqp.files.cellfile.basic import (
     MAX_ARMS,
     Angle,
-    Angles,
     Degrees,
     FilePath,
     Metres,
     Name,
     PerJoint,
     PlacementTable,
-    Position,
     Seconds,
     Sides,
     Stiffness,
@@ -33,17 +31,20 @@ from coopqp.files.cellfile.basic import (
     exactly_one,
 )
 from coopqp.files.cellfile.bodies import CollisionTable
+from coopqp.files.cellfile.path_tables import HoldTable, LineTable, TimedTable, WaypointsTable
 from coopqp.files.cellfile.paths import check_inside
+from coopqp.files.cellfile.phases import MAX_PHASES, PhaseTable
 from coopqp.files.cellfile.search_tables import SearchTable
 from coopqp.files.cellfile.sensors import DisturbancesTable, SensorTable
 from coopqp.files.cellfile.strict import MAX_LIST, Number, Numbers, Table, problem, table_of
 from coopqp.scenarios.arms import ROBOTS
+from coopqp.scenarios.robots import SEVERAL_ARMS
 from coopqp.simulation.evaluation.assessment import Tolerances
 from coopqp.simulation.plants.physics_options import PhysicsOptions
 from coopqp.simulation.simulate import PATIENCE
 
-#: Largest accepted numbers of steps and waypoints of a run.
-MAX_STEPS, MAX_WAYPOINTS = 1_000_000, 1_000
+#: Largest accepted number of steps of a run.
+MAX_STEPS = 1_000_000
 
 
 class LimitsTable(Table):
@@ -65,6 +66,40 @@ class LimitsTable(Table):
         return self
 
 
+class RobotTable(Table):
+    """A robot with several arms, for example two arms on one torso, lift or rail: its model, its base, its limits.
+
+    Its arms are tables [[arms]] with ``of``. Joints that move the tools of several arms get one command.
+    """
+
+    name: Name = Field(description="unique name, without '/': prefix of joints that its arms share")
+    robot: Literal[tuple(SEVERAL_ARMS)] | None = Field(default=None, description="name of a robot that comes along")  # type: ignore[valid-type]
+    urdf: FilePath | None = Field(
+        default=None, description="URDF file: relative to this file, with ~ and $VARIABLES, or package://NAME/…"
+    )
+    geometry: bool = Field(default=True, description="read the shapes, for pictures")
+    base: PlacementTable = Field(
+        default_factory=PlacementTable, description="placement of the model's root in the world"
+    )
+    package_dirs: Annotated[list[FilePath], Len(0, 20)] = Field(
+        default=[], description="folders that resolve package://, besides those above the URDF and those of ROS"
+    )
+    locked_joints_deg: dict[Name, Angle] = Field(default={}, description="joints to lock, with their positions")
+    locked_joints_rad: dict[Name, Angle] = Field(default={}, description="the same in radians")
+    limits: dict[Name, LimitsTable] = Field(
+        default={}, description='limits in place of the model\'s, by joint; "*" for all joints that turn'
+    )
+
+    @model_validator(mode="after")
+    def _one_model(self) -> RobotTable:
+        exactly_one(self, "robot", "urdf")
+        return self
+
+
+#: Keys of an arm that are its robot's where it is the arm of one.
+_OF_ROBOT = ("base", "geometry", "package_dirs", "locked_joints_deg", "locked_joints_rad", "limits")
+
+
 class ArmTable(Table):
     """One arm: its model, its tool frame, the placement of its base, its limits."""
 
@@ -74,6 +109,7 @@ class ArmTable(Table):
         default=None, description="URDF file: relative to this file, with ~ and $VARIABLES, or package://NAME/…"
     )
     mjcf: FilePath | None = Field(default=None, description="MJCF file, in the same forms")
+    of: Name | None = Field(default=None, description="name of the robot of [[robots]] whose arm it is")
     geometry: bool = Field(default=True, description="read the shapes, for pictures")
     tool_frame: Name | None = Field(
         default=None, description="link or frame that holds the object; optional with robot"
@@ -98,9 +134,38 @@ class ArmTable(Table):
 
     @model_validator(mode="after")
     def _one_model(self) -> ArmTable:
-        if exactly_one(self, "robot", "urdf", "mjcf") != "robot" and self.tool_frame is None:
+        if exactly_one(self, "robot", "urdf", "mjcf", "of") != "robot" and self.tool_frame is None:
             raise problem("tool_frame is missing: the link or frame that holds the object")
+        given = [key for key in _OF_ROBOT if key in self.model_fields_set]
+        if self.of is not None and given:
+            raise problem(f"{given[0]} is the robot's: give it in [[robots]]")
         return self
+
+
+#: Lowest and highest position of a free direction.
+Ends = Annotated[list[Angle], Len(2, 2)]
+
+
+class FreeTable(Table):
+    """A direction in which the grasp of an arm gives way: a passive joint behind its tool."""
+
+    arm: Name = Field(description="name of the arm")
+    axis: Literal["x", "y", "z", "rx", "ry", "rz"] = Field(
+        description="slide along, or turn about, an axis of its tool"
+    )
+    range_deg: Ends | None = Field(default=None, description="lowest and highest angle")
+    range_rad: Ends | None = Field(default=None, description="the same in radians")
+    range_m: Ends | None = Field(default=None, description="of a slide")
+
+    @model_validator(mode="after")
+    def _one_unit(self) -> FreeTable:
+        given = exactly_one(self, "range_deg", "range_rad", "range_m")
+        if (given == "range_m") is self.axis.startswith("r"):
+            raise problem(f"axis '{self.axis}' takes {'range_deg or range_rad' if given == 'range_m' else 'range_m'}")
+        return self
+
+
+Frees = Annotated[list[FreeTable], Len(0, 6 * MAX_ARMS)]
 
 
 class TriangleGrasp(Table):
@@ -109,6 +174,7 @@ class TriangleGrasp(Table):
     kind: Literal["triangle"]
     alpha_m: Metres = Field(description="α: a third of the triangle's height")
     beta_m: Metres = Field(description="β: half its base")
+    free: Frees = Field(default=[], description="directions in which it gives way; three turns make a ball")
 
 
 class ToolsGrasp(Table):
@@ -116,116 +182,22 @@ class ToolsGrasp(Table):
 
     kind: Literal["tools"]
     tools: dict[Name, PlacementTable] = Field(description="placement of each arm's tool in the object frame, by arm")
+    free: Frees = Field(default=[], description="directions in which it gives way; three turns make a ball")
 
 
 class LatchedGrasp(Table):
     """The grasp follows from the tools at the start and the first pose of the path."""
 
     kind: Literal["latched"]
-
-
-class DisplacementTable(Table):
-    """Displacement from the start: a translation, and a rotation about the object frame's origin, in world axes."""
-
-    translation_m: Position = Field(default=[0.0, 0.0, 0.0], description="translation")
-    rotation_vector_deg: Angles = Field(default=[0.0, 0.0, 0.0], description="axis times angle")
-
-
-TimeLawName = Literal["quintic", "linear"]
-
-
-class LineTable(Table):
-    """A straight line with a turn about one axis."""
-
-    kind: Literal["line"]
-    start: PlacementTable = Field(description="pose of the object frame in the world at the start")
-    goal: PlacementTable | None = Field(default=None, description="pose at the end; or give displacement")
-    displacement: DisplacementTable | None = Field(default=None, description="displacement in place of goal")
-    duration_s: Seconds = Field(description="duration at full rate")
-    time_law: TimeLawName = Field(default="quintic", description="quintic: rest to rest; linear: velocity jumps")
-
-    @model_validator(mode="after")
-    def _one_end(self) -> LineTable:
-        exactly_one(self, "goal", "displacement")
-        return self
-
-
-class WaypointsTable(Table):
-    """Straight lines through several poses."""
-
-    kind: Literal["waypoints"]
-    poses: Annotated[list[PlacementTable], Len(2, MAX_WAYPOINTS)] = Field(description="poses of the object frame")
-    durations_s: Annotated[list[Seconds], Len(1, MAX_WAYPOINTS)] = Field(
-        description="duration of each segment at full rate"
-    )
-    time_law: TimeLawName = Field(default="quintic", description="time law of every segment")
-
-    @model_validator(mode="after")
-    def _fits(self) -> WaypointsTable:
-        if len(self.durations_s) != len(self.poses) - 1:
-            raise problem(
-                f"{len(self.poses)} poses need {len(self.poses) - 1} durations_s, not {len(self.durations_s)}"
-            )
-        return self
-
-
-class HoldTable(Table):
-    """The object rests at one pose."""
-
-    kind: Literal["hold"]
-    pose: PlacementTable = Field(description="pose of the object frame in the world")
-    duration_s: Seconds = Field(description="duration")
-
-
-class BindingTable(Table):
-    """What limit a planned path uses up, from when to when."""
-
-    from_s: Annotated[float, Ge(0.0)] = Field(description="time along the path")
-    to_s: Annotated[float, Ge(0.0)] = Field(description="time along the path")
-    arm: str = Field(description="name of the arm")
-    joint: str = Field(description="name of the joint")
-    limit: Literal["velocity", "acceleration", "torque", "jerk"] = Field(description="kind of the limit")
-
-
-Rows = Annotated[list[Annotated[list[float], Len(1, MAX_LIST)]], Len(2, MAX_LIST)]
-
-
-class ElbowsTable(Table):
-    """The planned motion of redundant arms, along which they are led."""
-
-    clocks_s: Annotated[list[float], Len(2, MAX_LIST)] = Field(description="times along the path")
-    positions_rad: Rows = Field(description="positions of all joints at each [rad or m]")
-    speeds_rad_per_s: Rows = Field(description="their speeds there [rad/s or m/s]")
-
-
-class TimedTable(Table):
-    """A path with its speed profile, as `coopqp plan` writes it."""
-
-    kind: Literal["timed"]
-    pieces: Annotated[list[Annotated[list[float], Len(19, 25)]], Len(1, 2 * MAX_WAYPOINTS)] = Field(
-        description="numbers of each piece of the geometry: coopqp.TimedPath.record"
-    )
-    s_m: Annotated[list[float], Len(2, MAX_LIST)] = Field(description="grid points: the object's motion from the start")
-    squares: Annotated[list[float], Len(2, MAX_LIST)] = Field(description="square of the speed at each of them [m²/s²]")
-    planned_share: Annotated[float, Ge(1e-6), Le(1.0)] | None = Field(
-        default=None, description="share of the joints' limits that it was planned with"
-    )
-    keeps_clear: bool = Field(
-        default=False,
-        description="the planned motion is proved to keep clear of the bodies: redundant arms do not evade on it",
-    )
-    elbows: ElbowsTable | None = Field(
-        default=None, description="the planned motion of redundant arms, along which they are led"
-    )
-    binding: Annotated[list[BindingTable], Len(0, MAX_LIST)] = Field(
-        default_factory=list, description="what limit binds when; it changes nothing"
-    )
+    free: Frees = Field(default=[], description="directions in which it gives way; three turns make a ball")
 
 
 class StartTable(Table):
     """Start configuration of the arms; "auto", or a table without positions: coopqp finds it."""
 
-    positions_deg: Degrees | None = Field(default=None, description="position of every joint, by arm")
+    positions_deg: Degrees | None = Field(
+        default=None, description="position of every joint, by arm; of joints that arms share by their robot"
+    )
     positions_rad: Degrees | None = Field(default=None, description="the same in radians")
     inverse_kinematics: bool = Field(
         default=True,
@@ -358,11 +330,21 @@ class CellFile(Table):
 
     name: Name = Field(description="name of the run")
     arms: Annotated[list[ArmTable], Len(1, MAX_ARMS)] = Field(description="one table per arm; the first is the leader")
+    robots: Annotated[list[RobotTable], Len(0, MAX_ARMS)] = Field(
+        default=[], description="one table per robot with several arms"
+    )
     grasp: Annotated[TriangleGrasp | ToolsGrasp | LatchedGrasp, Field(discriminator="kind")] = Field(
         description="placements of the tools on the object"
     )
-    path: Annotated[LineTable | WaypointsTable | HoldTable | TimedTable | SearchTable, Field(discriminator="kind")] = (
-        Field(description="path of the object")
+    path: (
+        Annotated[LineTable | WaypointsTable | HoldTable | TimedTable | SearchTable, Field(discriminator="kind")] | None
+    ) = Field(default=None, description="path of the object; or give phases")
+    phases: Annotated[list[PhaseTable], Len(0, MAX_PHASES)] = Field(
+        default=[],
+        description="a program, in place of a path: in its phases arms let go, travel, work or open the part",
+    )
+    signals_s: dict[Name, Annotated[float, Ge(0.0), Le(1e5)]] = Field(
+        default={}, description="when signals of phases come by themselves, after the start of a run"
     )
     start: StartTable = Field(
         default_factory=StartTable,
@@ -403,6 +385,23 @@ class CellFile(Table):
     @model_validator(mode="after")
     def _fits(self) -> CellFile:
         at_most_one(self, "dt_s", "steps")
+        if self.path is None and not self.phases:
+            raise problem("path is missing: the path of the object; or give phases")
+        if self.path is not None and self.phases:
+            raise problem("give path or phases, not both")
+        if self.phases and self.controller.kind != "qp":
+            raise problem("phases: only the controller qp follows a program")
+        if self.phases and self.plant.kind != "kinematic":
+            raise problem("phases: in the physics engine grips stay closed; give the kinematic plant")
+        names, used = [robot.name for robot in self.robots], {arm.of for arm in self.arms}
+        if len(set(names)) < len(names):
+            raise problem("robots: two have one name")
+        for arm in self.arms:
+            if arm.of is not None and arm.of not in names:
+                raise problem(f"arms: '{arm.name}' is of '{arm.of}', and there is no such robot in [[robots]]")
+        for name in names:
+            if name not in used:
+                raise problem(f"robots: no arm is of '{name}'; give [[arms]] with of = \"{name}\"")
         if self.disturbances is not None and self.plant.kind != "physics":
             raise problem("disturbances: only the plant physics simulates them")
         if self.collision is not None and self.collision.avoid and self.controller.kind != "qp":

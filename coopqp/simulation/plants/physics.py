@@ -22,7 +22,7 @@ from coopqp.forces.grips import Grip
 from coopqp.forces.load_sharing import LoadShare
 from coopqp.model.cell import RobotCell
 from coopqp.model.grasp import Grasp
-from coopqp.paths.path import TimeLaw
+from coopqp.paths.time_law import TimeLaw
 from coopqp.simulation.plants.disturbances import Disturbances
 from coopqp.simulation.plants.drives import TorqueDrives
 from coopqp.simulation.plants.load_feed_forward import LoadFeedForward
@@ -97,6 +97,7 @@ class PhysicsPlant:
         require_mujoco()
         require(grasp, Grasp, "PhysicsPlant: grasp", "Give a Grasp of the placements.")
         grasp.check_arms(cell)
+        cell.refuse_shared("PhysicsPlant")
         self.cell, self.grasp = cell, grasp
         self.options = as_options(PhysicsOptions, options, "PhysicsPlant: options")
         self.disturbances = as_options(Disturbances, disturbances, "PhysicsPlant: disturbances")

@@ -1,0 +1,11 @@
+from .program import Phase as Phase, PhaseSpan as PhaseSpan, Program as Program
+from .roles import (
+    Follows as Follows,
+    Holds as Holds,
+    Role as Role,
+    Slides as Slides,
+    Travels as Travels,
+    Turns as Turns,
+    Waits as Waits,
+    Works as Works,
+)

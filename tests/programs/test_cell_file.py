@@ -1,0 +1,170 @@
+"""Programs in a cell file: from phases to a run that reports by phase, and what is refused."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import pytest
+
+from coopqp import load_cell_file
+from coopqp.cli.main import main
+from coopqp.files import CellFileError
+from coopqp.programs import Program
+from coopqp.simulation import evaluate, read_run
+
+ARM = """
+[[arms]]
+name = "{name}"
+robot = "rx90l"
+geometry = false
+base = {{ xyz_m = [{x}, {y}, 0.0], rpy_deg = [0, 0, {yaw}] }}
+limits.acceleration_rad_per_s2 = 5.0
+"""
+ARMS = "".join(
+    ARM.format(name=name, x=x, y=y, yaw=yaw)
+    for name, x, y, yaw in (("master", 0.0, 0.0, 0), ("slave_1", 3.6, 0.5, 180), ("slave_2", 3.6, -0.5, 180))
+)
+CELL = f"""
+name = "regrasp"
+dt_s = 0.01
+{ARMS}
+[grasp]
+kind = "triangle"
+alpha_m = 0.6
+beta_m = 0.3
+
+[[phases]]
+name = "lift"
+[phases.path]
+kind = "line"
+start = {{ xyz_m = [0.9, 0.0, 0.1], rpy_deg = [0, 0, -90] }}
+displacement = {{ translation_m = [0.0, 0.0, 0.15] }}
+duration_s = 2.0
+
+[[phases]]
+name = "regrasp"
+duration_s = 1.5
+until = "slave_2 closed"
+[phases.arms.slave_2]
+kind = "travels"
+to = {{ xyz_m = [0.2, 1.8, 0.0], rpy_deg = [90, 0, 0] }}
+
+[[phases]]
+name = "open"
+path = {{ kind = "line", displacement = {{ translation_m = [0.0, 0.0, 0.1] }}, duration_s = 2.0 }}
+[phases.arms.slave_1]
+kind = "turns"
+about_m = [0.0, 0.8, 0.0]
+angle_deg = 4.0
+[phases.arms.slave_2]
+kind = "slides"
+axis = [1.0, 0.0, 0.0]
+distance_m = 0.02
+[phases.arms.master]
+kind = "works"
+poses = [{{ rpy_deg = [-90, 180, 0] }}, {{ xyz_m = [0.0, 0.03, 0.0], rpy_deg = [-90, 180, 0] }}]
+durations_s = [1.0]
+
+[signals_s]
+"slave_2 closed" = 4.0
+"""
+
+
+def written(folder: Path, text: str) -> Path:
+    file = folder / "cell.toml"
+    file.write_text(text, encoding="utf-8")
+    return file
+
+
+def test_phases_of_a_cell_file_run_and_are_reported(tmp_path: Path) -> None:
+    task = load_cell_file(written(tmp_path, CELL))
+    program = task.scenario.path
+    assert isinstance(program, Program)
+    assert [span.name for span in program.spans] == ["lift", "regrasp", "open"]
+    assert program.spans[2].holding == ("slave_1", "slave_2")
+    recording = task.run()
+    assert recording.finished
+    assert [phase["name"] for phase in recording.metadata["phases"]] == ["lift", "regrasp", "open"]
+    findings = evaluate(task.scenario.cell, recording, read_run(task.scenario.cell, recording))
+    (phases,) = (finding for finding in findings if finding.question == "Did all phases end?")
+    assert phases.holds
+    assert re.search(r"lift 2\S* s; regrasp 1\.5\d* s, then waiting 0\.\d+ s; open 2\S* s", phases.answer), (
+        phases.answer
+    )
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "match"),
+    [
+        ('kind = "travels"', 'kind = "travel"', "there is no 'travel'; did you mean 'travels'"),
+        ('[phases.arms.slave_2]\nkind = "travels"', '[phases.arms.left]\nkind = "travels"', "left"),
+        ("angle_deg = 4.0", "", "angle"),
+        ("duration_s = 1.5", "", "regrasp.*how long"),
+        ('"slave_2 closed" = 4.0', '"closed" = 4.0', "closed"),
+        ('name = "open"', 'name = "lift"', "two phases are named 'lift'"),
+        ("xyz_m = [0.0, 0.03, 0.0], rpy_deg", "xyz_m = [0.0, 0.03], rpy_deg", "phases"),
+        ("start = { xyz_m = [0.9, 0.0, 0.1], rpy_deg = [0, 0, -90] }", "", "first path of a program needs start"),
+        ("[grasp]", '[controller]\nkind = "independent"\n[grasp]', "only the controller qp"),
+        ("[grasp]", '[plant]\nkind = "physics"\n[grasp]', "grips stay closed"),
+    ],
+)
+def test_a_bad_phase_is_refused_by_name(tmp_path: Path, old: str, new: str, match: str) -> None:
+    assert old in CELL
+    with pytest.raises(CellFileError, match=match):
+        load_cell_file(written(tmp_path, CELL.replace(old, new, 1)))
+
+
+def test_a_file_has_a_path_or_phases(tmp_path: Path) -> None:
+    path = '[path]\nkind = "hold"\npose = { xyz_m = [0.9, 0.0, 0.1] }\nduration_s = 1.0\n'
+    with pytest.raises(CellFileError, match="path or phases, not both"):
+        load_cell_file(written(tmp_path, CELL + path))
+    with pytest.raises(CellFileError, match="path is missing"):
+        load_cell_file(written(tmp_path, CELL.partition("[[phases]]")[0]))
+
+
+PINS = """
+name = "pins"
+dt_s = 0.01
+[[arms]]
+name = "left"
+robot = "arm5"
+geometry = false
+base = { xyz_m = [-0.73, 0.0, 0.0] }
+[[arms]]
+name = "right"
+robot = "arm5"
+geometry = false
+base = { xyz_m = [0.73, 0.0, 0.0], rpy_deg = [0, 0, 180] }
+[grasp]
+kind = "tools"
+tools.left = { xyz_m = [-0.25, 0.0, 0.0], rpy_deg = [0, 90, 0] }
+tools.right = { xyz_m = [0.25, 0.0, 0.0], rpy_deg = [180, 90, 0] }
+free = [
+  { arm = "left", axis = "rx", range_deg = [-60, 60] },
+  { arm = "right", axis = "rx", range_deg = [-60, 60] },
+]
+[start]
+positions_deg = { left = [0, 10, 115, -35, 0], right = [0, 10, 115, -35, 0] }
+[path]
+kind = "line"
+start = { xyz_m = [0.0, 0.0, 0.25] }
+displacement = { translation_m = [0.02, 0.03, 0.05], rotation_vector_deg = [5, 3, 11] }
+duration_s = 3.0
+"""
+
+
+def test_grasps_of_a_cell_file_give_way(tmp_path: Path) -> None:
+    task = load_cell_file(written(tmp_path, PINS))
+    assert task.scenario.cell.joint_names[5] == "left/free_rx"
+    assert task.run().finished
+
+
+def test_a_loose_object_ends_with_status_3(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    file = written(tmp_path, PINS.replace('axis = "rx"', 'axis = "rz"'))
+    for command in ("check", "run"):
+        assert main([command, str(file)]) == 3
+        assert "the object is loose" in capsys.readouterr().err.lower()
+    bad = PINS.replace("range_deg = [-60, 60]", "range_m = [-0.1, 0.1]", 1)
+    with pytest.raises(CellFileError, match="axis 'rx' takes range_deg or range_rad"):
+        load_cell_file(written(tmp_path, bad))
