@@ -22,7 +22,7 @@ from coopqp.spatial import Array
 from coopqp.visualization import Solid, View, box_solid, cell_solids, render
 
 #: Frames per second, width [px], how much slower than the motion, ghosts, and how long the last frame stays [ms].
-FPS, WIDTH, SLOWER, GHOSTS, REST_MS = 12, 520, 2.0, 5, 1500
+FPS, WIDTH, SLOWER, GHOSTS, REST_MS = 12, 800, 2.5, 5, 1500
 _OBJECT, _GHOST, _POST = (0.20, 0.42, 0.68), (0.78, 0.85, 0.93), (0.80, 0.72, 0.58)
 _TREES, _WAY, _RED, _INK = ("#2e8b57", "#b06a00"), "#1f5fa8", "#b00020", "#222222"
 _HEIGHT, _RADIUS = 0.3, 0.03
@@ -93,7 +93,7 @@ def _annotated(image: Image.Image, view: View, route: Route) -> Image.Image:
     way = route.poses[:, 9:]
     line(way[[0, -1]], _RED, 3)
     line(way, _WAY, 3)
-    font = ImageFont.truetype(font_manager.findfont("DejaVu Sans"), 13)
+    font = ImageFont.truetype(font_manager.findfont("DejaVu Sans"), 18)
     draw.text((10, 8), f"a way round, {route.length:.2f} m, proved", fill=_INK, font=font)
     return image
 
