@@ -1,7 +1,7 @@
 """The operator's page in Chromium: how late the control loop is beside it, how soon calls arrive, how it is drawn.
 
 A cell runs at 500 Hz in real time: alone, and with the page, its drawing and a recording, in turn. On the page a script
-presses Run and Pause, drags the gizmo, leads with a key, and presses Return and Run. Records have the keys ``figure``,
+drags the gizmo, leads with a key, and presses Return and Run. Records have the keys ``figure``,
 ``alone``, ``page``, ``bound`` and ``unit``. Chain and path are those of the verdict of the recorded run.
 """
 
@@ -11,7 +11,6 @@ import sys
 import tempfile
 import threading
 from collections.abc import Callable, Sequence
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -19,27 +18,26 @@ import common  # first: it limits BLAS to one thread
 import numpy as np
 import pinocchio as pin
 
-from coopqp import ControlStep, QPController, Recording, Status
-from coopqp.cli.runs import Task, obtain_task
-from coopqp.drivers.real_time import RealTimeRun
-from coopqp.simulation.evaluation.readings import read_run
-from coopqp.visualization.jog.link import PageLink
-from coopqp.visualization.run_view import FIELD_OF_VIEW, Stage
+from coopqp import ControlStep, QPController, Recording, Status, simulate
+from coopqp.drivers import RealTimeRun
+from coopqp.scenarios import Scenario, dual_arm7
+from coopqp.simulation import describe_object, read_run
+from coopqp.visualization import PageLink
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "docs"))
 from browser import Page, find_browser  # type: ignore[import-not-found]
 
 KEYS = ("figure", "alone", "page", "bound", "unit")
-_CELL, _WIDTH, _HEIGHT = "dual_arm7", 900, 520
-#: Share of the gizmo's arrow at which it is grabbed, its length [m], and how far it is dragged [px].
-_GRABBED, _ARROW, _DRAGGED = 0.75, 0.3, 30.0
+_WIDTH, _HEIGHT = 900, 520
+#: Where the gizmo's upper arrow is at the start, as shares of the picture, and how far it is dragged [px].
+_ARROW, _DRAGGED = (0.521, 0.518), 30.0
 
 
 class Session:
     """A run in a thread of its own, and what was seen of it."""
 
-    def __init__(self, task: Task, *, records: bool) -> None:
-        self.run = RealTimeRun(task.controller(), task.q_start, task.plant(), records=records)
+    def __init__(self, task: Scenario, *, records: bool) -> None:
+        self.run = RealTimeRun(_controller(task), task.q_start, records=records)
         self.last: ControlStep | None = None
         self.observe: Callable[[ControlStep], None] | None = None
         self._thread = threading.Thread(target=lambda: self.run.run(self._step), daemon=True)
@@ -73,34 +71,16 @@ class Session:
         return self.last is not None and float(np.abs(self.last.velocity).max()) < 1e-4
 
 
-def _task() -> Task:
-    """The cell, with acceleration limits of 10 rad/s²."""
-    task = obtain_task(_CELL)
-    plain = task.controller()
-    cell = plain.cell.with_limits(acceleration=10.0)
-    return replace(task, controller=lambda: QPController(cell, plain.grasp, plain.path, dt=plain.dt))
+def _controller(task: Scenario) -> QPController:
+    """A controller of the cell, with acceleration limits of 10 rad/s²."""
+    return QPController(task.cell.with_limits(acceleration=10.0), task.grasp, task.path, dt=task.dt)
 
 
-def _pixel(task: Task, page: Page, point: Any) -> tuple[float, float]:
-    """Where a point (3,) of the world is on the page [px]."""
-    eye, target = Stage(_Nodes(), task.at_start(), sticks=True).camera()
-    away = (eye - target) / np.linalg.norm(eye - target)
-    right = np.cross([0.0, 0.0, 1.0], away)
-    right /= np.linalg.norm(right)
-    d, box = point - eye, page.box("canvas")
-    scale = 0.5 * box["height"] / np.tan(np.deg2rad(0.5 * FIELD_OF_VIEW)) / -(d @ away)
-    middle = box["left"] + 0.5 * box["width"], box["top"] + 0.5 * box["height"]
-    return middle[0] + scale * float(d @ right), middle[1] - scale * float(d @ np.cross(away, right))
+def _metadata(task: Scenario) -> dict[str, Any]:
+    return {"scenario": task.name, "object": describe_object(task.object_size, task.T_object_body)}
 
 
-class _Nodes:
-    """A scene that keeps nothing."""
-
-    def __getattr__(self, name: str) -> Any:
-        return lambda *_, **__: type("Node", (), {})()
-
-
-def _lead(session: Session, page: Page, task: Task) -> None:
+def _lead(session: Session, page: Page) -> None:
     """What an operator does."""
 
     def click(button: str) -> None:
@@ -109,11 +89,8 @@ def _lead(session: Session, page: Page, task: Task) -> None:
     def until(done: Callable[[], Any]) -> None:
         page.wait_until(done, every=0.05, timeout=60.0)
 
-    click("Run")
-    session.wait(0.8)
-    click("Pause")
-    until(session.rests)
-    begin = _pixel(task, page, session.pose.translation + np.array([0.0, 0.0, _GRABBED * _ARROW]))
+    box = page.box("canvas")
+    begin = box["left"] + _ARROW[0] * box["width"], box["top"] + _ARROW[1] * box["height"]
     before = session.pose.translation.copy()
     for kind, share in (("Moved", 0.0), ("Pressed", 0.0), *(("Moved", 0.1 * i) for i in range(11)), ("Released", 1.0)):
         x, y = begin[0], begin[1] - share * _DRAGGED
@@ -132,12 +109,13 @@ def _lead(session: Session, page: Page, task: Task) -> None:
     until(lambda: session.last is not None and session.last.finished)
 
 
-def _led(task: Task) -> tuple[Session, PageLink, Recording]:
+def _led(task: Scenario) -> tuple[Session, PageLink, Recording]:
     program = find_browser()
     if program is None:
         raise SystemExit("no browser; 'make browser' installs one")
     session = Session(task, records=True)
-    link = PageLink(session.run, task.at_start(), port=0, sticks=True)
+    begun = simulate(_controller(task), q_start=task.q_start, duration=task.dt, metadata=_metadata(task))
+    link = PageLink(session.run, begun, port=0, sticks=True)
     session.observe = link.observe
     with (
         tempfile.TemporaryDirectory(ignore_cleanup_errors=True) as folder,
@@ -147,14 +125,14 @@ def _led(task: Task) -> tuple[Session, PageLink, Recording]:
         page.open(link.url)
         page.wait_until(lambda: page.evaluate("document.body?.innerText.includes('Return')"))
         session.wait(2.0)
-        _lead(session, page, task)
+        _lead(session, page)
     link.close()
-    return session, link, session.run.recording(dict(task.metadata))
+    return session, link, session.run.recording(_metadata(task))
 
 
 def records(rounds: int) -> list[common.Record]:
     """The figures, lateness as medians over rounds."""
-    task, alone, beside, delays, chain, path, drawn = _task(), [], [], list[float](), 0.0, 0.0, []
+    task, alone, beside, delays, chain, path, drawn = dual_arm7(), [], [], list[float](), 0.0, 0.0, []
     for _ in range(rounds):
         with Session(task, records=False) as session:
             session.wait(8.0)
