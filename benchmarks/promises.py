@@ -15,7 +15,20 @@ from typing import Any
 import common  # first: it limits BLAS to one thread
 import promise_cases
 from common import Record
-from promise_cases import bodies, braking, chain, clock, contacts, forces, operator, planning, proofs, screen, sensors
+from promise_cases import (
+    bodies,
+    braking,
+    chain,
+    clock,
+    contacts,
+    forces,
+    operator,
+    planning,
+    proofs,
+    screen,
+    sensors,
+    shared,
+)
 
 KEYS = ("group", "case", "value", "bound", "unit", "holds")
 #: The groups, and where their cases come from.
@@ -26,6 +39,7 @@ GROUPS: dict[str, tuple[Callable[[bool], Iterator[promise_cases.Promise]], ...]]
     "clock": (clock.promises,),
     "operator": (operator.promises,),
     "screen": (screen.promises,),
+    "shared": (shared.promises,),
 }
 
 
