@@ -24,6 +24,7 @@ from promise_cases import (
     forces,
     operator,
     planning,
+    programs,
     proofs,
     screen,
     sensors,
@@ -38,6 +39,7 @@ GROUPS: dict[str, tuple[Callable[[bool], Iterator[promise_cases.Promise]], ...]]
     "planning": (proofs.promises, planning.promises, bodies.promises),
     "clock": (clock.promises,),
     "operator": (operator.promises,),
+    "programs": (programs.promises,),
     "screen": (screen.promises,),
     "shared": (shared.promises,),
 }

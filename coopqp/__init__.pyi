@@ -11,6 +11,7 @@ from . import (
     output as output,
     paths as paths,
     planning as planning,
+    programs as programs,
     scenarios as scenarios,
     simulation as simulation,
     solvers as solvers,
@@ -50,6 +51,7 @@ from .planning.check import check_path as check_path
 from .planning.planner import plan as plan
 from .planning.route.finding import find_path as find_path
 from .planning.starts import find_start as find_start
+from .programs.program import Phase as Phase, Program as Program
 from .simulation.recording.recording import Recording as Recording
 from .simulation.simulate import simulate as simulate
 

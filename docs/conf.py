@@ -25,6 +25,7 @@ html_theme = "furo"
 html_title = f"coopqp {release}"
 html_static_path = ["static"]
 html_css_files = ["pages.css"]
+html_extra_path = ["llms.txt"]  # an overview for language models
 
 autodoc_member_order = "bysource"
 autodoc_typehints = "signature"  # shapes and units are in the text
@@ -78,7 +79,15 @@ def _one_attribute_a_line(app, what, name, obj, options, lines):
     lines[:] = out
 
 
+def _level_of_captions(app, pagename, templatename, context, doctree):
+    """The captions of the list of pages are headings: of which level, Sphinx does not say."""
+    for name in ("furo_navigation_tree", "body"):
+        if context.get(name):
+            context[name] = context[name].replace('role="heading"', 'role="heading" aria-level="2"')
+
+
 def setup(app):
+    app.connect("html-page-context", _level_of_captions, priority=900)  # after the theme has made them
     app.connect("source-read", _include_text)
     app.connect("autodoc-process-docstring", _one_attribute_a_line, priority=300)  # before napoleon
     app.connect("autodoc-process-docstring", _plain_bars)

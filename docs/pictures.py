@@ -71,6 +71,10 @@ PROGRAMS: Mapping[str, tuple[str, ...]] = {
     "python docs/examples/31_a_way_round.py --out {out}": ("docs/tutorials/way_round.png",),
     "python docs/examples/32_operator.py --out {out}": ("docs/tutorials/operator.png",),
     "python docs/examples/33_conveyor.py --out {out}": ("docs/tutorials/conveyor.png",),
+    "python docs/examples/37_pliers.py --out {out}": ("docs/tutorials/pliers.png",),
+    "python docs/examples/38_draw_on_a_plate.py --out {out}": ("docs/tutorials/draw_on_a_plate.png",),
+    "python docs/examples/39_grasp_again.py --out {out}": ("docs/tutorials/grasp_again.png",),
+    "python docs/examples/40_positioner.py --out {out}": ("docs/tutorials/positioner.png",),
     "python docs/examples/34_slowest_arm.py --out {out}": ("docs/howto/drive.png",),
     "python docs/examples/36_one_robot.py --out {out}": ("docs/tutorials/one_robot.png",),
 }

@@ -26,6 +26,7 @@ from coopqp.model.cell import RobotCell
 from coopqp.model.chain import Chain
 from coopqp.model.grasp import Grasp
 from coopqp.model.limits import BindingLimit
+from coopqp.paths.moving_grasps import refuse_motion
 from coopqp.paths.path import ObjectPath
 from coopqp.solvers.base import QpSolver
 from coopqp.solvers.choice import make_solver
@@ -92,6 +93,7 @@ class IndependentQPController:
         require(grasp, Grasp, "IndependentQPController: grasp", "Give a Grasp of the placements.")
         grasp.check_arms(cell)
         cell.refuse_shared("IndependentQPController")
+        refuse_motion(path, "IndependentQPController: path", "Give it to a QPController.")
         self._lock = Lock()
         self.cell, self.grasp, self.path = cell, grasp, path
         self.dt = as_scalar(dt, "IndependentQPController: dt")

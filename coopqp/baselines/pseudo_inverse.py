@@ -23,6 +23,7 @@ from coopqp.model.cell import RobotCell
 from coopqp.model.grasp import Grasp
 from coopqp.model.inverse_kinematics import inverse_kinematics
 from coopqp.model.state import CellState
+from coopqp.paths.moving_grasps import refuse_motion
 from coopqp.paths.path import LinePath, ObjectPath
 from coopqp.spatial import Array
 
@@ -96,6 +97,7 @@ class PseudoInverseController:
         require(grasp, Grasp, "PseudoInverseController: grasp", "Give a Grasp of the placements.")
         grasp.check_arms(cell)
         cell.refuse_shared("PseudoInverseController")
+        refuse_motion(path, "PseudoInverseController: path", "Give it to a QPController.")
         self._lock = Lock()
         self.cell, self.grasp, self.path = cell, grasp, path
         self.dt = as_scalar(dt, "PseudoInverseController: dt")

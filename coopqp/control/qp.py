@@ -29,12 +29,14 @@ from coopqp.control.options import QPOptions
 from coopqp.control.step.constraint_set import Constraints
 from coopqp.control.step.plain import PlainLoop
 from coopqp.control.step.start import check_start, held_command, rate_into, start_warning
-from coopqp.errors import BusyError, InvalidInputError, StartWarning, StiffnessWarning
+from coopqp.errors import BusyError, InvalidInputError, StartWarning, StiffnessWarning, UnknownNameError
 from coopqp.model.cell import RobotCell
 from coopqp.model.grasp import Grasp, held_at
 from coopqp.model.state import CellState
 from coopqp.paths.elbows import Elbows
+from coopqp.paths.grasp_motion import GraspMotion
 from coopqp.paths.guarded import GuardedPath, is_known
+from coopqp.paths.moving_grasps import HOLD_ON, grasp_at, refuse_motion
 from coopqp.paths.path import HoldPath, ObjectPath
 from coopqp.paths.servo import ServoPath
 from coopqp.spatial import Array, Placement, as_placement
@@ -110,13 +112,34 @@ class QPController(OperatorCalls):
     def _lock(self) -> Any:
         return self._loop
 
-    def _take(self, path: ObjectPath) -> None:
+    def _take(self, path: ObjectPath, clock: float = 0.0) -> float:
         elbows = getattr(path, "elbows", None)
         if isinstance(elbows, Elbows) and elbows.x.shape[1:] != (self.cell.nv,):
             raise InvalidInputError("its elbows are those of another cell", "QPController: path", "Give this cell's.")
-        self._operator.restart(path)
-        self._loop.follow(path)
+        grasps = getattr(path, "grasps", None)
+        if self.cell.groups:
+            refuse_motion(path, "QPController: path", HOLD_ON)
+        if isinstance(grasps, GraspMotion):
+            self._check_motion(grasps)
+        begin = self._operator.restart(path, clock)
+        self._loop.follow(self._operator.way.path, self._operator.way)
         self._find_fast_step()
+        return begin
+
+    def _check_motion(self, grasps: GraspMotion) -> None:
+        """Refuse tools that move on the object where they are those of another cell, or give way as well."""
+        if len(grasps) != len(self.cell):
+            raise InvalidInputError("its grasps are those of another cell", "QPController: path", "Give this cell's.")
+        if grasps.arms[0] and any(hasattr(constraint, "scene") for constraint in self.constraints):
+            raise InvalidInputError(
+                f"the tool of arm '{self.cell.arm_names[0]}' moves on the object, and a scene places the object by it",
+                "QPController: constraints",
+                "Let the first arm of the cell hold the object at rest on it, or give no Clearance.",
+            )
+        if self._shift is not None and np.any(self._shift):
+            raise InvalidInputError(
+                "its tools move on the object, and the grasps were shifted", "QPController: path", "Shift them back."
+            )
 
     def _find_fast_step(self) -> None:
         operator = self._operator
@@ -204,13 +227,13 @@ class QPController(OperatorCalls):
         self._checked.check(start, self.dt)
         if isinstance(self.path, ServoPath) and again:
             self.path.restart(path.pose(0.0))
-        warned = self._start_warnings(start, GuardedPath(path).pose(clock))
-        self._operator.restart(self.path)
+        warned = self._start_warnings(start, GuardedPath(path).pose(clock), clock)
+        self._operator.restart(self.path, clock)
         self._operator.take_events()
         self._started, self._outside = True, bool(warned)
         self._loop.start(start)
-        self._take(self.path)
-        self._loop.start_path(clock, self._first_rate(clock))
+        first = self._take(self.path, clock)
+        self._loop.start_path(first, self._first_rate(clock))
         self._operator.begin_trail()
         if warned:
             warnings.warn("; ".join(warned), StartWarning, stacklevel=3)
@@ -226,13 +249,14 @@ class QPController(OperatorCalls):
 
     def _first_rate(self, clock: float) -> float | None:
         """The rate that a path begins with: full where the object rests there; None for the loop's own."""
-        twist = GuardedPath(self.path).twist(clock)
-        if twist is None or np.any(twist):
+        motion = GuardedPath(self.path).motion(clock)
+        if motion is None or np.any(motion):
             return None
         return 0.0 if self.paused else self.override
 
-    def _start_warnings(self, q: Array, pose: pin.SE3 | None) -> tuple[str, ...]:
-        return start_warning(self.cell, self.grasp, self.options.common_error.shares(self.cell), pose, q)
+    def _start_warnings(self, q: Array, pose: pin.SE3 | None, clock: float) -> tuple[str, ...]:
+        grasp = grasp_at(self.grasp, self.path, clock)
+        return start_warning(self.cell, grasp, self.options.common_error.shares(self.cell), pose, q)
 
     def _held_at(self, q: ArrayLike) -> pin.SE3:
         """Where the arms hold the object at ``q``: by their shares in the common error, from the first one's view."""
@@ -254,9 +278,9 @@ class QPController(OperatorCalls):
 
     def _follow(self, path: ObjectPath, clock: float) -> None:
         rate = self._rate_into(path, clock) if self._started else None
-        self._take(path)
+        begin = self._take(path, clock)
         if self._started:
-            self._loop.start_path(clock, self._first_rate(clock) if rate is None else rate)
+            self._loop.start_path(begin, self._first_rate(clock) if rate is None else rate)
             self._operator.begin_trail()
 
     def _rate_into(self, path: ObjectPath, clock: float) -> float | None:
@@ -264,9 +288,14 @@ class QPController(OperatorCalls):
         loop = self._loop
         if not np.isfinite(self.cell.limits.acceleration).any():
             return max(loop.rate, 0.0 if self.paused else self.override)
-        now, ahead = GuardedPath(self._operator.way.path).twist(loop.clock), GuardedPath(path).twist(clock)
+        now, ahead = GuardedPath(self._operator.way.path).motion(loop.clock), GuardedPath(path).motion(clock)
         if now is None or ahead is None:
             return None
+        if now.ndim + ahead.ndim > 2:  # tools move on the object, too
+            now, ahead = (
+                np.zeros((1 + len(self.cell), 6)) + np.eye(1 + len(self.cell), 1) * x if x.ndim == 1 else x
+                for x in (now, ahead)
+            )
         return rate_into(loop.rate, now, ahead, length=self.options.weights.length)
 
     # -- speed override and pause ----------------------------------------------------------------------------------
@@ -306,6 +335,20 @@ class QPController(OperatorCalls):
     def resume(self) -> None:
         """Go on after :meth:`pause`, up to the override."""
         self.operate("resume", None, lambda operator: operator.pause(False))
+
+    def signal(self, name: str) -> None:
+        """A signal has come, such as "gripper closed": a program's gates that wait for it are open from now on.
+
+        In time the object goes through without slowing down; late it goes on from where it is. Until the signal comes
+        it rests at the gate, and the status is WAITING. A reset shuts all gates.
+
+        Raises:
+            UnknownNameError: no gate of the program waits for it.
+        """
+        names = {gate for _, gate in self.path.gates}
+        if name not in names:
+            raise UnknownNameError("signal", name, sorted(names))
+        self.operate("signal", name, lambda operator: operator.signal(name))
 
     @property
     def shares(self) -> Array:
@@ -398,7 +441,14 @@ class QPController(OperatorCalls):
             raise InvalidInputError(
                 "no six finite numbers per arm", "shift_grasp", f"Give an array ({len(self.cell)}, 6)."
             )
+        self._refuse_shift("shift_grasp")
         self._soon(lambda: self.take_shift(d)())
+
+    def _refuse_shift(self, where: str) -> None:
+        if self.path.grasps is not None and self.path.grasps.moves:
+            raise InvalidInputError(
+                "tools move on the object along this path", where, "Give the tools' motion in the program."
+            )
 
     def take_shift(self, shift: Array) -> Callable[[], bool]:
         """As :meth:`shift_grasp`, for a shift that its owner goes on to change in place.
@@ -517,7 +567,8 @@ class QPController(OperatorCalls):
         if self._outside:  # it started there: say so until it is mended
             off_path = step.status is Status.OFF_PATH or step.status in (Status.HOLDING, Status.FAULT)
             by_hand = off_path or step.status is Status.JOGGING
-            warned = self._start_warnings(step.q, None if by_hand else GuardedPath(self.path).pose(step.clock))
+            pose = None if by_hand else GuardedPath(self.path).pose(step.clock)
+            warned = self._start_warnings(step.q, pose, step.clock)
             if warned or off_path:
                 amend(step, reason="; ".join(filter(None, (step.reason, *warned))))
             else:

@@ -36,6 +36,7 @@ from coopqp.forces.load_sharing import LoadShare
 from coopqp.forces.sensor_check import SensorCheck
 from coopqp.forces.sensor_findings import SensorJudgement
 from coopqp.forces.wrist_sensor import SensorMaps
+from coopqp.paths.moving_grasps import refuse_motion
 from coopqp.paths.path import ObjectPath
 from coopqp.spatial import Array, Placement
 
@@ -50,6 +51,9 @@ _STAGES = (
 _PATIENCE = 5
 #: Attributes that a step changes, beside the attributes of the relaxation and of the inner controller.
 _VARYING = ("_differences", "_compared", "_check", "_place", "_found", "_disturbed")
+
+#: What to do where arms let go or move on the object.
+_ONLY_FIXED = "Give a path whose grasps are fixed: forces are not watched where arms let go or move on the object."
 
 
 @final
@@ -88,6 +92,7 @@ class ForceController(OperatorCalls):
         self._build(controller, as_options(ForceOptions, options, "ForceController: options"))
 
     def _build(self, controller: QPController | PseudoInverseController, options: ForceOptions) -> None:
+        refuse_motion(controller.path, "ForceController: controller", _ONLY_FIXED)
         self.controller, self.options = controller, options
         self.cell, self.grasp, self.dt = controller.cell, controller.grasp, controller.dt
         self.cell.refuse_shared("ForceController")
@@ -207,6 +212,7 @@ class ForceController(OperatorCalls):
 
     def follow(self, path: ObjectPath, *, clock: float = 0.0) -> None:
         """Take another path; see :meth:`coopqp.QPController.follow`. It ends a hold, as :meth:`resume` does."""
+        refuse_motion(path, "ForceController.follow: path", _ONLY_FIXED)
         self._qp.follow(path, clock=clock)
         self._scalars.goes_on = 1.0
 

@@ -18,7 +18,7 @@ import numpy as np
 from coopqp.forces.internal import SHARE_LENGTH
 from coopqp.model.grasp import Grasp
 from coopqp.native.constants import STRUCTURE
-from coopqp.paths.path import TimeLaw
+from coopqp.paths.time_law import TimeLaw
 from coopqp.spatial import Array
 
 #: Force of a press [N], its torque beside the couples that balance it [N·m], and the largest of these [N·m].

@@ -67,6 +67,11 @@ class Chain:
         """The tools hold the object shifted from now on: ``exp(d_k) X_k`` for each d_k of (N, 6) [m, rad]."""
         placed = zip(self.cell.T_joint_tool, self.grasp.T_object_tool, shift, strict=True)
         self._T_joint_object = [T * X.inverse() * pin.exp6(-d) for T, X, d in placed]
+        self._held = self._T_joint_object  # before the tools move on the object
+
+    def place(self, moved: Sequence[pin.SE3]) -> None:
+        """The tools are at ``M_k X_k`` from now on, with M_k of each arm in the object frame."""
+        self._T_joint_object = [Y * M.inverse() for Y, M in zip(self._held, moved, strict=True)]
 
     # -- poses ---------------------------------------------------------------------------------------------------
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import final
 
@@ -74,3 +75,16 @@ class CommonError:
                     f"Give shape ({n}, 6), one row per arm; every column sums to 1.",
                 )
         return W
+
+    def shares_of(self, cell: RobotCell, holds: Sequence[bool]) -> Array:
+        """The weights (N, 6) while only some arms hold the object (N,).
+
+        The others have none. On an axis of which no holding arm has a share, all that hold have the same.
+        """
+        W, holding = self.shares(cell).copy(), np.array(holds, dtype=float)[:, None]
+        if holding.all():
+            return W
+        W *= holding
+        sums = W.sum(axis=0)
+        alike: Array = holding / max(float(holding.sum()), 1.0)
+        return np.where(sums > 0.0, W / np.where(sums > 0.0, sums, 1.0), alike)

@@ -123,6 +123,10 @@ class Grasp:
         """``O_k``: the object pose in the world according to each arm."""
         return tuple(T * X.inverse() for T, X in zip(state.T_world_tool, self.T_object_tool, strict=True))
 
+    def moved_by(self, motions: Sequence[pin.SE3]) -> Grasp:
+        """The same tools after a motion of each in the object frame: ``M_k X_k``."""
+        return Grasp(tuple(M * X for M, X in zip(motions, self.T_object_tool, strict=True)))
+
     def tool_targets(self, T_world_object: Placement) -> tuple[pin.SE3, ...]:
         """Placement of each tool in the world for an object pose (Eq. 12 for any number of arms)."""
         T = as_placement(T_world_object, "Grasp.tool_targets")
@@ -180,6 +184,10 @@ def plate_from_centroid(T_world_centroid: Placement, alpha: float) -> pin.SE3:
 
 def held_at(grasp: Grasp, shares: Array, state: CellState) -> pin.SE3:
     """Where the arms hold the object: by their shares in the common error, from the first one's view."""
-    O = grasp.carried(state)
+    return mean_pose(grasp.carried(state), shares)
+
+
+def mean_pose(O: Sequence[pin.SE3], shares: Array) -> pin.SE3:
+    """The arms' views of the object as one pose: by their shares in the common error, from the first one's view."""
     errors = np.array([pin.log6(O[0].actInv(other)).vector for other in O])
     return O[0] * pin.exp6((shares * errors).sum(axis=0))

@@ -43,7 +43,7 @@ def joint_links(model: pin.Model, joints: Sequence[int]) -> tuple[Array, Array, 
     for i, j in enumerate(joints):
         if model.joints[j].nv != 1 or model.parents[j] != parent:
             raise ModelError(f"joint {model.names[j]} does not follow the one before")
-        axis, slides[i] = _axis(model, j, pin.computeJointJacobian(model, data, neutral, j))
+        axis, slides[i] = _axis(model, j, pin.computeJointJacobian(model, data, neutral, j).reshape(6, -1))
         placement, turned = model.jointPlacements[j], _z_to(*axis.tolist())
         R[i], p[i] = aligned.T @ placement.rotation @ turned, aligned.T @ placement.translation
         parent, aligned = j, turned

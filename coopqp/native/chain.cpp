@@ -184,15 +184,15 @@ static double far_velocities(const double *jacobian, const double *scale, int n,
 }
 
 static int two_velocities(Core *c, const double *jacobian, const Twists &w0, const Vector6 &w1, const double *u0,
-                          const double *u1, double *v0, double *v1) {
+                          const double *u1, double *v0, double *v1, const double *own1) {
     static const double still[MOST_JOINTS] = {};
     for (int k = 0; k < c->arms; k++) {
         const auto [j, n] = joints_of(c, k);
         const double *J = jacobian + 6 * j, *scale = c->scale + j;
         const double *wish0 = u0 ? u0 + j : still, *wish1 = u1 ? u1 + j : still;
-        const Vector6 own = w0.col(k);
-        double least = arm_velocities(J, scale, n, own, w1, wish0, wish1, v0 + j, v1 + j);
-        if (!(least > 0.0)) least = far_velocities(J, scale, n, own, w1, wish0, wish1, v0 + j, v1 + j);
+        const Vector6 own = w0.col(k), second = own1 ? Vector6(Eigen::Map<const Vector6>(own1 + 6 * k)) : w1;
+        double least = arm_velocities(J, scale, n, own, second, wish0, wish1, v0 + j, v1 + j);
+        if (!(least > 0.0)) least = far_velocities(J, scale, n, own, second, wish0, wish1, v0 + j, v1 + j);
         if (!(least > 0.0)) return 0;
         c->least_pivot[k] = least;
     }
@@ -205,13 +205,19 @@ static int nominal_command(Core *c, double cap) {
     const double *u0 = nullptr, *u1 = nullptr;
     const Matrix3 &R = c->pose->R;
     const Vector6 common = cap * c->along + c->path;
-    for (int k = 0; k < c->arms; k++) w.col(k) = turned(R, common + c->grasp.col(k) + c->offsets.col(k));
+    const bool moving = grasps_move(c);
+    for (int k = 0; k < c->arms; k++) {
+        const Vector6 own = moving ? Vector6(cap * c->own_along.col(k) + c->path) : common;
+        w.col(k) = turned(R, own + c->grasp.col(k) + c->offsets.col(k));
+        if (moving) c->own_world.col(k) = turned(R, c->own_along.col(k));
+    }
     if (c->redundant) {
         Vector wish(c->scratch + 6 * c->arms, c->joints, 1);
         wish = cap * c->null_along + c->null_offset;
         u0 = wish, u1 = c->null_along;
     }
-    return two_velocities(c, c->jacobian, w, turned(R, c->along), u0, u1, c->command, c->along_velocity);
+    return two_velocities(c, c->jacobian, w, turned(R, c->along), u0, u1, c->command, c->along_velocity,
+                          moving ? (double *)c->own_world : nullptr);
 }
 
 /* -- wishes of redundant arms ---------------------------------------------------------------------------------------- */

@@ -95,12 +95,20 @@ static Trial newton_step(Core *c, double clock, double before, const double *pos
     double size = 0.0;
     if (!path_pose(c, clock, T) || !path_twist(c, maximum(minimum(clock, c->duration) - before, 0.0), twist))
         return CANNOT_SAY;
+    const bool moving = grasps_move(c);
+    if (moving) place_grasps(c, minimum(clock, c->duration));
     carry_and_linearise(c, positions, T.p, s.carried, s.jacobian);
     if (!errors_at(c, s.carried, T, s.errors)) return REJECTED;
     for (int k = 0; k < c->arms; k++) s.w.col(k) = turned(T.R, -s.errors.col(k)); /* w_k = −R e_k */
+    for (int k = 0; moving && k < c->arms; k++) {
+        const double then = maximum(minimum(clock, c->duration) - before, 0.0);
+        c->own_world.col(k) = turned(T.R, twist + twist_on_object(c, k, then));
+    }
     if (c->redundant && c->options->elbows > 0.0) elbow_velocity(c, clock, 0.0, positions, s.wish);
     else if (c->redundant) posture_velocity(c, positions, s.wish);
-    if (!two_velocities(c, s.jacobian, s.w, turned(T.R, twist), nullptr, c->redundant ? (double *)s.wish : nullptr, step, slope)) return REJECTED;
+    if (!two_velocities(c, s.jacobian, s.w, turned(T.R, twist), nullptr, c->redundant ? (double *)s.wish : nullptr, step,
+                        slope, moving ? (double *)c->own_world : nullptr))
+        return REJECTED;
     if (c->redundant && !evade(c, positions, slope)) return CANNOT_SAY;
     for (int k = 0; c->redundant && !(c->options->elbows > 0.0) && k < c->arms; k++)
         if (c->arm_size[k] > 6.0) lead_away(c, k, s.jacobian, positions, slope);
@@ -375,6 +383,7 @@ static int first_knot(Core *c, double clock) {
     Pose T;
     Vector x(vector_of(c, c->knot_positions, 0), c->joints, 1), slope(vector_of(c, c->knot_slope, 0), c->joints, 1);
     if (!path_pose(c, clock, T)) return 0;
+    if (grasps_move(c)) place_grasps(c, minimum(clock, c->duration));
     x = c->positions;
     const int arm = reach_pose(c, T, x);
     slope.setZero();

@@ -213,3 +213,4 @@ MOST_KNOTS = 1024  # that the look-ahead keeps
 MOST_JOINTS = 16  # of an arm
 MOST_KINKS = 64  # clocks at which the twist of a user's path was found to jump, that are kept
 SEGMENT = 29  # numbers of a segment, see ObjectPath.packed
+GRASP_PIECE = 53  # numbers of a piece of a tool's motion on the object, see GraspMotion.packed

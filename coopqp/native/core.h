@@ -6,6 +6,7 @@
  *
  *   spatial.h        poses, logarithm, exponential           frames.h         joint frames of an arm, with
  *                                                            kinematics.cpp where the arms carry the object, Jacobians
+ *   grasps.cpp       tools that move on the object
  *   paths.cpp        pose and twist of the object's path     chain.cpp        errors, corrections, joint velocities
  *   limits.cpp       admissible velocities, rates            program.cpp      the condensed QP and its answer
  *   ldp.cpp          least-distance programs                 watch.cpp        supervision, drift, forces
@@ -59,6 +60,7 @@ struct Core {
      * their starts. A path without segments is known to own_path. */
     const double *path_numbers = nullptr;
     double duration = 0.0;
+    const double *grasp_numbers = nullptr; /* how the tools move on the object, see grasps.cpp; nullptr where they are fixed */
     Minding *minding = nullptr; /* of the forces between the arms, see minding.h; nullptr where nobody minds them */
     /* Calls into Python; 0 if they fail. The pose comes into `own_pose`, or with `twist` six numbers. */
     int (*own_path)(Core *c, double clock, int twist) = nullptr;

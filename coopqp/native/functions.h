@@ -41,16 +41,30 @@ static double found_by_seeking(const Core *c, int pose);
 /* First clock after this one at which the twist jumps; the end of the path at the latest. */
 static double next_breakpoint(const Core *c, double clock);
 
+/* -- grasps.cpp ---------------------------------------------------------------------------------------- */
+
+/* Whether tools move on the object along the path; the others apply only then. */
+static bool grasps_move(const Core *c);
+/* The tools are from now on where they are on the object at a clock. */
+static void place_grasps(Core *c, double clock);
+/* The arms that hold the object at a clock have the shares in the common error. */
+static void take_contact(Core *c, double clock);
+/* Twist of a tool on the object, in the object frame. */
+static Vector6 twist_on_object(const Core *c, int k, double clock);
+/* The mean twist of each arm's view of the object over a span, as path_increment: into `own_along`. After that. */
+static int grasp_increments(Core *c, double clock, double span);
+
 /* -- chain.cpp ----------------------------------------------------------------------------------------- */
 
 /* e_k = log(T⁻¹ O_k); 0 near half a turn or for numbers that are not finite. */
 static int errors_at(const Core *c, const Pose *carried, const Pose &T, Twists &errors);
 /* ē = Σ W_k e_k */
 static Vector6 common_error(const Core *c, const Twists &errors);
-/* Joint velocities v0, v1 for world twists about the point of the Jacobian: w0 has one per arm, w1 is common to all; near
- * the null-space wishes u0, u1 (nullptr for none). 0 if an arm is singular; the smallest pivots are kept. */
+/* Joint velocities v0, v1 for world twists about the point of the Jacobian: w0 has one per arm, w1 is common to all unless
+ * `own1` has one per arm (6 arms); near the null-space wishes u0, u1 (nullptr for none). 0 if an arm is singular; the
+ * smallest pivots are kept. */
 static int two_velocities(Core *c, const double *jacobian, const Twists &w0, const Vector6 &w1, const double *u0,
-                          const double *u1, double *v0, double *v1);
+                          const double *u1, double *v0, double *v1, const double *own1 = nullptr);
 
 /* -- watch.cpp ----------------------------------------------------------------------------------------- */
 

@@ -83,6 +83,7 @@ static bool condense(Core *c, double cap) {
     base.head(joints).setZero(), columns.topRows(joints).setZero(); /* joints that no arm moves stand still */
     for (int k = 0; k < c->arms; k++) {
         const auto [start, n] = joints_of(c, k);
+        if (grasps_move(c)) T.col(6) = turned(R, c->own_along.col(k));
         T.col(7) = turned(R, c->grasp.col(k));
         T.col(9) = turned(R, c->offsets.col(k));
         if (!right_inverse(OfArm(c->jacobian + 6 * start, 6, n), c->scale + start, P, N)) return false;

@@ -124,6 +124,7 @@ static void observe(Core *c, const double *q, const double *dt) {
     }
     if (q && !believe(c, q, positions)) q = nullptr;
     stay_near(c, c->positions);
+    if (grasps_move(c)) place_grasps(c, c->loop->clock), take_contact(c, c->loop->clock);
     carry(c, c->positions, c->carried);
     const int was_lost = c->loop->path_lost == 1.0;
     c->loop->path_lost = was_lost ? 2.0 : 0.0; /* 2: found again */
@@ -401,8 +402,9 @@ static Outcome propose(Core *c) {
     const double expected = c->loop->rate + c->loop->rate_slope * h;
     const double pace = corner ? p->cap : fmin(p->cap, fmax(expected, 0.0));
     p->span = fmin(h * fmax(pace, LEAST_PACE), rest);
-    if (c->loop->path_lost != 0.0 || !path_increment(c, clock, p->span, *c->pose, c->along)) {
-        c->along.setZero();
+    if (c->loop->path_lost != 0.0 || !path_increment(c, clock, p->span, *c->pose, c->along) ||
+        (grasps_move(c) && !grasp_increments(c, clock, p->span))) {
+        c->along.setZero(), c->own_along.setZero();
         if (p->watch_cap > 0.0) refuse(c, PATH_FAILED, -1, clock);
         p->cap = 0.0;
     }

@@ -31,6 +31,7 @@ struct BoundCore : Core {
     Field state_block = {};      /* all that is the state */
     double *memory = nullptr;
     nb::capsule owner;           /* of the memory: no array holds the core, which would be a cycle that nobody sees */
+    InOrNone grasp_array;        /* numbers of the tools' motion on the object */
     In path_array;               /* numbers of the path; or of the way to a new target: */
     Out way_array, minding_array; /* relaxation of forces, also the core's */
     nb::object minding_given;    /* the object of `minding_array` */
@@ -234,6 +235,25 @@ static void set_path(BoundCore &self, In &numbers, double duration, bool looks_a
     self.path_array = std::move(numbers);
     self.path_numbers = found;
     self.duration = duration, self.looks_ahead = looks_ahead, self.users_path = users;
+}
+
+/* set_grasps(numbers or None): how the tools move on the object along the path, see grasps.cpp. */
+static void set_grasps(BoundCore &self, InOrNone &numbers) {
+    const double *found = numbers.data;
+    Py_ssize_t size = self.arms + 1;
+    bool good = !found || numbers.size >= size;
+    for (int k = 0; good && found && k < self.arms; k++) {
+        good = found[k] >= 0 && found[k] < 1e6;
+        if (good) size += GRASP_PIECE * (Py_ssize_t)found[k];
+    }
+    if (good && found) {
+        const double contacts = found[self.arms];
+        good = contacts >= 1 && contacts < 1e6;
+        if (good) good = numbers.size == size + (1 + 6 * self.arms) * (Py_ssize_t)contacts;
+    }
+    check_fit(good, "the numbers are no motion of tools");
+    self.grasp_array = std::move(numbers);
+    self.grasp_numbers = found;
 }
 
 /* -- steps ----------------------------------------------------------------------------------------------------------- */
@@ -463,6 +483,7 @@ void bind_step(nb::module_ &m) {
         .def("start", start)
         .def("start_path", start_path)
         .def("set_path", set_path)
+        .def("set_grasps", set_grasps, nb::arg().none())
         .def("go_over", go_over)
         .def("linearise", linearise)
         .def("shift_grasp", shift_grasp)

@@ -14,6 +14,7 @@ namespace BUILD {
 
 #include "kinematics.cpp"
 #include "paths.cpp"
+#include "grasps.cpp"
 #include "chain.cpp"
 #include "limits.cpp"
 #include "ldp.cpp"

@@ -23,7 +23,8 @@ from coopqp.native.constants import (
     TURN_LENGTH,
 )
 from coopqp.paths.elbows import Elbows
-from coopqp.paths.path import HoldPath, LinePath, ObjectPath, WaypointPath
+from coopqp.paths.grasp_motion import GraspMotion
+from coopqp.paths.path import HoldPath, LinePath, ObjectPath, SegmentedPath, WaypointPath
 from coopqp.paths.section import Section
 from coopqp.paths.servo import ServoPath
 from coopqp.paths.shifted import ShiftedPath
@@ -48,7 +49,8 @@ def is_known(path: ObjectPath) -> bool:
     """Whether the path is one of the library's own, which neither raise nor return nonsense."""
     while type(path) in (Section, ShiftedPath):
         path = path.path  # type: ignore[attr-defined]
-    return type(path) in (LinePath, WaypointPath, HoldPath, ServoPath, TimedPath)
+    known = isinstance(path, SegmentedPath) and path.of_segments
+    return known or type(path) in (LinePath, WaypointPath, HoldPath, ServoPath, TimedPath)
 
 
 def pose_distance(a: pin.SE3, b: pin.SE3) -> float:
@@ -108,6 +110,7 @@ class GuardedPath:
         planned_share: share of the limits that the path was planned with; None if it was not.
         keeps_clear: whether its planned motion is proved to keep clear of bodies.
         elbows: a motion of redundant arms on it; None if it has none.
+        grasps: how the tools move on the object along it; None where all grasps are fixed.
         problem: what was wrong with the last pose or twist; empty if nothing was.
         own: whether the path is a user's.
         asked: number of calls of a user's path.
@@ -120,6 +123,7 @@ class GuardedPath:
         self.planned_share: float | None = None
         self.keeps_clear = False
         self.elbows: Elbows | None = None
+        self.grasps: GraspMotion | None = None
         try:
             self.duration, self.known_ahead = float(path.duration), bool(path.known_ahead)
             share = path.planned_share
@@ -128,8 +132,13 @@ class GuardedPath:
             self.elbows = path.elbows
             if self.elbows is not None and not isinstance(self.elbows, Elbows):
                 raise TypeError("elbows is no Elbows")
+            self.grasps = path.grasps
+            if self.grasps is not None and not isinstance(self.grasps, GraspMotion):
+                raise TypeError("grasps is no GraspMotion")
         except Exception as error:
-            self.problem = f"the path's duration, known_ahead, planned_share or elbows cannot be read: {said(error)}"
+            self.problem = (
+                f"the path's duration, known_ahead, planned_share, elbows or grasps cannot be read: {said(error)}"
+            )
 
     def pose(self, clock: float) -> pin.SE3 | None:
         """T_world_object at ``clock`` [s]; None if the path fails, :attr:`problem` says how."""
@@ -138,6 +147,13 @@ class GuardedPath:
     def twist(self, clock: float) -> Array | None:
         """Body twist at ``clock`` [m/s, rad/s]; None if the path fails."""
         return self._ask(self.path.twist, clock, "twist") if self.own else self.path.twist(clock)
+
+    def motion(self, clock: float) -> Array | None:
+        """The twist of the object (6,), with those of the tools on it (1 + N, 6); None if the path fails."""
+        twist = self.twist(clock)
+        if twist is None or self.grasps is None:
+            return twist
+        return np.vstack([twist, self.grasps.twists(clock)])
 
     def _ask(self, ask: Callable[[float], Any], clock: float, kind: str) -> Any:
         """What a user's path returns at ``clock`` [s], checked; None if it fails."""

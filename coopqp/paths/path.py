@@ -7,61 +7,23 @@ slows the object, the clock advances slower than real time: the path never runs 
 from __future__ import annotations
 
 import abc
-import enum
 import math
 from bisect import bisect_right
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from types import MappingProxyType
 from typing import final
 
 import numpy as np
 import pinocchio as pin
 
 from coopqp.checks import ArrayLike, as_scalar, as_vector
-from coopqp.errors import InvalidInputError, UnknownNameError
+from coopqp.errors import InvalidInputError
 from coopqp.paths.elbows import Elbows
 from coopqp.paths.geometry import PathGeometry, Straight, motion_length
+from coopqp.paths.grasp_motion import GraspMotion
+from coopqp.paths.time_law import TimeLaw, as_time_law
 from coopqp.spatial import Array, Placement, as_placement, as_placements, axis_angle
-
-
-class TimeLaw(enum.Enum):
-    """Progress along a segment: share u(x) of the way as a function of the share x of the time, both in [0, 1]."""
-
-    LINEAR = "linear"  #: u = x, the paper's τ = t/t_f; the velocity jumps at the start and at the end
-    QUINTIC = "quintic"  #: u = 10x³ − 15x⁴ + 6x⁵; velocity and acceleration are zero at both ends
-
-    def value_at(self, x: float) -> float:
-        """u(x), clamped to [0, 1]."""
-        if x <= 0.0:
-            return 0.0
-        if x >= 1.0:
-            return 1.0
-        if x != x:
-            raise InvalidInputError("the clock is NaN", "ObjectPath", "Give a finite time [s].")
-        return x if self is TimeLaw.LINEAR else min(1.0, x * x * x * (10.0 + x * (6.0 * x - 15.0)))  # rounding
-
-    def slope_at(self, x: float) -> float:
-        """du/dx; 0 outside [0, 1)."""
-        if x < 0.0 or x >= 1.0:
-            return 0.0
-        return 1.0 if self is TimeLaw.LINEAR else 30.0 * x * x * (1.0 - x) * (1.0 - x)
-
-    def inverse(self, u: Array) -> Array:
-        """x at shares u of the way (K,). u(x) is the regularised incomplete beta function of (3, 3)."""
-        from scipy.special import betaincinv  # takes long to import
-
-        inside: Array = np.clip(u, 0.0, 1.0)
-        return inside if self is TimeLaw.LINEAR else np.asarray(betaincinv(3.0, 3.0, inside))
-
-
-def as_time_law(value: TimeLaw | str) -> TimeLaw:
-    """A TimeLaw from its name."""
-    if isinstance(value, TimeLaw):
-        return value
-    try:
-        return TimeLaw(value)
-    except ValueError:
-        raise UnknownNameError("time law", str(value), (law.value for law in TimeLaw)) from None
 
 
 class ObjectPath(abc.ABC):
@@ -78,6 +40,14 @@ class ObjectPath(abc.ABC):
     #: A motion of redundant arms that a controller which looks ahead follows in their null-space, in place of its own
     #: rules; None for these.
     elbows: Elbows | None = None
+    #: How the tools move on the object along this path, and which arms hold it; None where all grasps are fixed.
+    grasps: GraspMotion | None = None
+    #: Clocks [s] of gates, at which the object rests until a signal of this name comes.
+    gates: tuple[tuple[float, str], ...] = ()
+    #: Seconds after the start of a run at which signals come by themselves.
+    signals: Mapping[str, float] = MappingProxyType({})
+    #: Whether :meth:`packed` gives segments in the order of their clocks, of which a part is a path, too.
+    of_segments: bool = False
 
     def __repr__(self) -> str:
         duration = getattr(self, "duration", None)
@@ -124,6 +94,13 @@ class ObjectPath(abc.ABC):
         if dt == 0.0 or not math.isfinite(dt):
             raise InvalidInputError(f"dt is {dt}", "ObjectPath.increment", "Give a step [s] other than 0.")
         return np.asarray(pin.log6(self.pose(clock).actInv(self.pose(clock + dt))).vector) / dt
+
+
+class SegmentedPath(ObjectPath, abc.ABC):
+    """A path of the library's own beside those of this package; users derive from :class:`ObjectPath`.
+
+    Where :attr:`of_segments` is true it neither raises nor returns nonsense.
+    """
 
 
 @dataclass(frozen=True, eq=False)

@@ -12,14 +12,15 @@ from coopqp.checks import as_scalar
 from coopqp.errors import InvalidInputError
 from coopqp.native.constants import SAME_CLOCK, SEGMENT
 from coopqp.paths.elbows import Elbows
+from coopqp.paths.grasp_motion import of_section
 from coopqp.paths.path import HoldPath, LinePath, ObjectPath, WaypointPath
 from coopqp.paths.timed import TimedPath
 from coopqp.spatial import Array
 
 #: Breakpoints that are asked for, at most.
 _MOST_BREAKPOINTS = 10_000
-#: Paths of segments, and the number of the time law of even acceleration.
-_SEGMENTS, _EVEN = (LinePath, WaypointPath, HoldPath, TimedPath), 3.0
+#: Paths of segments.
+_SEGMENTS = (LinePath, WaypointPath, HoldPath, TimedPath)
 
 
 @final
@@ -60,6 +61,7 @@ class Section(ObjectPath):
         self.keeps_clear = path.keeps_clear if keeps_clear is None else keeps_clear
         own = path.elbows
         self.elbows = self._turned(own) if elbows is None and own is not None else elbows
+        self.grasps = None if path.grasps is None else path.grasps.section(self.begin, self.end)
         self._marks = breakpoints(path, min(self.begin, self.end), max(self.begin, self.end))
         breaks = [self.sense * (mark - self.begin) for mark in self._marks]
         self._breaks = breaks if self.sense > 0 else breaks[::-1]
@@ -97,33 +99,16 @@ class Section(ObjectPath):
 
     def packed(self) -> Array | None:
         """See :meth:`ObjectPath.packed`: the segments of the path that the section touches, then one of rest."""
-        numbers = self.path.packed() if type(self.path) in _SEGMENTS else None
+        numbers = self.path.packed() if type(self.path) in _SEGMENTS or self.path.of_segments else None
         if numbers is None:
             return None
         segments = numbers[3 + int(numbers[1]) :].reshape(-1, SEGMENT)
         low, high = min(self.begin, self.end), max(self.begin, self.end)
         touched = [s for s in segments if s[18] < high and s[18] + s[19] > low]
-        made = [self._moved(s) if self.sense > 0 else self._reversed(s) for s in touched][:: self.sense]
+        made = [of_section(s, self.begin, self.sense) for s in touched][:: self.sense]
         rest = self.pose(self.duration)
         still = LinePath(rest, rest, duration=1.0).segment(self.duration)
         return np.concatenate([[self.duration, len(self._breaks), len(made) + 1], self._breaks, *made, still])
-
-    def _moved(self, segment: Array) -> Array:
-        made = segment.copy()
-        made[18] -= self.begin
-        return made
-
-    def _reversed(self, segment: Array) -> Array:
-        """The segment from its goal to its start: time laws are their own mirror images, as is even acceleration."""
-        made = segment.copy()
-        made[18] = self.begin - (segment[18] + segment[19])
-        R, turn, line = segment[:9].reshape(3, 3), segment[12:15], segment[15:18]
-        if segment[20] == _EVEN:
-            made[21] = 2.0 - segment[21]
-        made[:9] = (R @ pin.exp3(turn)).ravel()
-        made[9:12] += line
-        made[12:15], made[15:18] = -turn, -line
-        return made
 
 
 def breakpoints(path: ObjectPath, low: float, high: float) -> list[float]:

@@ -11,7 +11,8 @@ import pinocchio as pin
 from coopqp.checks import as_scalar
 from coopqp.errors import InvalidInputError
 from coopqp.native.constants import TURN_LENGTH
-from coopqp.paths.path import ObjectPath, TimeLaw
+from coopqp.paths.path import ObjectPath
+from coopqp.paths.time_law import TimeLaw
 from coopqp.spatial import Array, Placement, as_placement
 
 #: Samples of a length along a path.
@@ -41,7 +42,8 @@ class ShiftedPath(ObjectPath):
         if not self.end > self.begin:
             raise InvalidInputError("it ends before it begins", "ShiftedPath", "Give clocks that rise.")
         self.duration, self.known_ahead = path.duration, path.known_ahead
-        self.planned_share, self.elbows = path.planned_share, path.elbows
+        self.planned_share, self.elbows, self.grasps = path.planned_share, path.elbows, path.grasps
+        self.gates, self.signals = path.gates, dict(path.signals)
         #: The shift's logarithm (6,).
         self._log = np.asarray(pin.log6(self.shift).vector)
 

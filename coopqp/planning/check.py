@@ -25,6 +25,7 @@ from coopqp.model.grasp import Grasp
 from coopqp.paths.elbows import Elbows
 from coopqp.paths.geometry import PathGeometry
 from coopqp.paths.guarded import GuardedPath
+from coopqp.paths.moving_grasps import HOLD_ON, refuse_motion
 from coopqp.paths.path import ObjectPath
 from coopqp.paths.timed import TimedPath
 from coopqp.planning.arm_check import ArmCheck, UndecidedInterval, arm_record
@@ -43,10 +44,12 @@ from coopqp.planning.branch_checks import (
 )
 from coopqp.planning.clearance_check import Bodies, ClearanceCheck, check_scene
 from coopqp.planning.joint_trajectories import CellTrajectory
+from coopqp.planning.phase_checks import PhaseCheck, explained, phase_checks
 from coopqp.planning.segments import Segments, segments_of
 from coopqp.planning.shared_check import check_group, stands_at
 from coopqp.planning.shared_way import SharedWay
 from coopqp.planning.starts import clear_rows, exact_start
+from coopqp.planning.tools_on_object import tool_on_object, tools_move
 from coopqp.spatial import Array
 
 #: Most branches of a redundant arm that are checked; they are samples of its self-motion.
@@ -157,7 +160,7 @@ class PathCheck:
     def proved_trajectory(self) -> CellTrajectory | None:
         """The motion of all joints that is proved, over the places of the path; None where nothing is."""
         trajectories = [arm.chosen.trajectory for arm in self.arms if arm.chosen is not None]
-        segments = segments_of(self.path)
+        segments = None if tools_move(self.path) else segments_of(self.path)
         if self.verdict is not PathVerdict.CERTIFIED or self.q_start is None or segments is None:
             return None
         return CellTrajectory(self.cell, self.path, segments, trajectories, self.cell.positions(self.q_start))
@@ -173,7 +176,7 @@ class PathCheck:
             PathVerdict.INFEASIBLE: f"The arms cannot follow the path{how}"
             + (" from this start." if self.given else ", from any start."),
         }[self.verdict]
-        lines = [head, *(arm.explain() for arm in self.arms)]
+        lines = [head, *(arm.explain() for arm in self.arms), *explained(self.phases)]
         lines += [f"joints that arms share: {stands_at(self.cell, way)}." for way in self.shared]
         if self.clearance is not None:
             lines.append(self.clearance.explain())
@@ -190,6 +193,11 @@ class PathCheck:
         if not self.remedies:
             lines += [f"no remedy by {why}." for why in self.no_remedy]
         return "\n".join(lines)
+
+    @property
+    def phases(self) -> tuple[PhaseCheck, ...]:
+        """The verdict on each phase of a program; none for other paths."""
+        return phase_checks(self.path, self.arms)
 
     def _undecided(self) -> str:
         every = [f"{i.start:.4g}–{i.end:.4g} s for arm {i.arm}" for i in self.intervals]
@@ -209,6 +217,7 @@ class PathCheck:
             "verdict": self.verdict.value,
             "intervals": [{"arm": i.arm, "start_s": i.start, "end_s": i.end} for i in self.intervals],
             "arms": [arm_record(arm) for arm in self.arms],
+            **({"phases": [phase.record() for phase in self.phases]} if self.phases else {}),
             "clearance": None if self.clearance is None else self.clearance.record(),
             "remedies": [remedy.record() for remedy in self.remedies],
             "no_remedy": list(self.no_remedy),
@@ -246,16 +255,25 @@ def check_path(
     seed_factor = as_count(seed_factor, "check_path: seed_factor")
     check_scene(cell, scene, "check_path: scene")
     GuardedPath(path).check("check_path: path")
+    if tools_move(path) and scene is not None:
+        raise InvalidInputError(
+            "tools move on the object along the path",
+            "check_path: scene",
+            "Check the path without a scene; a run keeps clear with Clearance.",
+        )
+    if cell.groups:
+        refuse_motion(path, "check_path: path", HOLD_ON)
     samples, segments = sample_path(path, grasp), segments_of(path)
     start = None if q_start is None else cell.check_configuration(q_start, "check_path: q_start")
     arms: list[ArmCheck] = []
     grouped, shared = _groups(cell, grasp, samples, segments, start)
     for k, (arm, X) in enumerate(zip(cell.arms, grasp.T_object_tool, strict=True)):
-        kinematics, tool = ArmKinematics(arm), tool_path(segments, samples, X)
+        kinematics, own = ArmKinematics(arm), samples.of_arm(k)
+        tool = tool_on_object(path, own, k, X) if tools_move(path) else tool_path(segments, own, X)
         if k in grouped:
             arms.append(grouped[k])
         elif start is None:
-            arms.append(_every_branch(kinematics, samples, X, tool, seed_factor))
+            arms.append(_every_branch(kinematics, own, X, tool, seed_factor))
         else:
             positions = cell.positions(start)[cell.columns[k][kinematics.columns]]
             arms.append(_given_branch(kinematics, tool, positions))

@@ -22,6 +22,7 @@ from coopqp.paths.path import HoldPath, LinePath, ObjectPath, WaypointPath
 from coopqp.planning.arm_starts import arm_on_path, rolled
 from coopqp.planning.branch_checks import follows
 from coopqp.planning.check import PathCheck, Remedy, check_path
+from coopqp.planning.tools_on_object import tools_move
 from coopqp.spatial import Array
 
 #: Rolls of the tool [deg], in the order in which they are tried.
@@ -72,6 +73,8 @@ def find_remedies(check: PathCheck) -> Remedies:
         if base.feasible:
             arms = _listed(_to_be_changed(check, base))
             return Remedies.of((Remedy(kind="branch", text=f"start {arms} in another branch", check=base),))
+    if tools_move(check.path):
+        return Remedies.of(("a roll, a shift or another base: they are not searched where tools move on the object",))
     search = _Search(base)
     if not search.bad:  # the arms follow the path, but come too close
         return Remedies.of((search.shift(),))

@@ -15,8 +15,9 @@ import numpy.typing as npt
 import pinocchio as pin
 
 from coopqp.paths.geometry import MotionBounds, Piece, Straight
-from coopqp.paths.path import ObjectPath, TimeLaw
+from coopqp.paths.path import ObjectPath
 from coopqp.paths.section import Section
+from coopqp.paths.time_law import TimeLaw
 from coopqp.paths.timed import TimedPath
 from coopqp.spatial import Array
 

@@ -11,6 +11,7 @@ from coopqp.model.posture import PostureOptions
 from coopqp.paths.path import ObjectPath
 from coopqp.planning.check import check_path
 from coopqp.planning.clearance_check import Bodies
+from coopqp.planning.tools_on_object import tools_move
 
 
 def led_path(
@@ -28,7 +29,7 @@ def led_path(
     where nothing is proved.
     """
     own = path.planned_share is not None or path.elbows is not None or posture.asks
-    if own or not path.known_ahead or all(len(columns) <= 6 for columns in moving_columns(cell)):
+    if own or tools_move(path) or not path.known_ahead or all(len(columns) <= 6 for columns in moving_columns(cell)):
         return path
     try:
         return check_path(cell, grasp, path, q_start=q_start, scene=scene).led_path()

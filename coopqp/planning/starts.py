@@ -20,6 +20,7 @@ from coopqp.model.cell import RobotCell
 from coopqp.model.chain import Chain
 from coopqp.model.grasp import Grasp
 from coopqp.model.inverse_kinematics import newton
+from coopqp.paths.moving_grasps import HOLD_ON, refuse_motion
 from coopqp.paths.path import ObjectPath
 from coopqp.planning.arm_starts import ArmOnPath, BranchAlongPath, arm_on_path, arm_on_shared, rolled, trouble
 from coopqp.planning.clearance_check import Bodies, check_scene
@@ -146,6 +147,8 @@ def find_start(
     check_scene(cell, scene, "find_start: scene")
     if scene is not None and free_roll:
         raise InvalidInputError("free_roll and a scene", "find_start", "A scene is of one grasp: give one of both.")
+    if cell.groups:
+        refuse_motion(path, "find_start: path", HOLD_ON)
     rolls = _checked_rolls(cell, free_roll or {})
     samples = sample_path(path, grasp)
     near = None if q_near is None else cell.positions(cell.check_configuration(q_near, "find_start: q_near"))
@@ -161,16 +164,17 @@ def find_start(
             else:
                 found.append((rows, rows.branches[0]))
             continue
+        own = samples.of_arm(k)
         seeds = np.empty((0, kinematics.n)) if near is None else near[None, cell.columns[k][kinematics.columns]]
         tries = [
-            arm_on_path(kinematics, samples, grasp.T_object_tool[k], roll=roll, seed_factor=seed_factor, near=seeds)
+            arm_on_path(kinematics, own, grasp.T_object_tool[k], roll=roll, seed_factor=seed_factor, near=seeds)
             for roll in rolls[k]
         ]
         best = max(tries, key=lambda t: t.feasible[0].score if t.feasible else -np.inf)
         if best.feasible:
             found.append((best, best.feasible[0]))
         else:
-            remedy = _remedy(kinematics, samples, grasp.T_object_tool[k], rolls[k])
+            remedy = _remedy(kinematics, own, grasp.T_object_tool[k], rolls[k])
             troubles.append((arm.name, f"{trouble(tries[0])}; {remedy}"))
     if troubles:
         raise NoStartError(tuple(name for name, _ in troubles), ". ".join(text for _, text in troubles) + ".")
@@ -219,9 +223,9 @@ def clear_rows(
 ) -> tuple[int, ...] | None:
     """Index of one start (n,) per arm, so that all margins are kept; None if there are none. The best come first."""
     trajectories = []
-    for arm, own, X, starts in zip(cell.arms, cell.columns, grasp.T_object_tool, options, strict=True):
+    for k, (arm, own, X, starts) in enumerate(zip(cell.arms, cell.columns, grasp.T_object_tool, options, strict=True)):
         kinematics = ArmKinematics(arm)
-        walks = kinematics.walk(samples.tool_poses(X), np.array(starts).reshape(-1, kinematics.n))
+        walks = kinematics.walk(samples.of_arm(k).tool_poses(X), np.array(starts).reshape(-1, kinematics.n))
         rest = np.clip(np.zeros(len(own)), cell.limits.lower[own], cell.limits.upper[own])
         trajectory = np.tile(rest, (*walks.q.shape[:2], 1))
         trajectory[:, :, kinematics.columns] = walks.q

@@ -25,6 +25,7 @@ from coopqp.model.state import CellState
 from coopqp.paths.elbows import Elbows
 from coopqp.paths.geometry import PathGeometry
 from coopqp.paths.guarded import is_known
+from coopqp.paths.moving_grasps import refuse_motion
 from coopqp.paths.path import ObjectPath
 from coopqp.paths.timed import SpeedProfile, TimedPath
 from coopqp.planning.jerk import jerk_limited, jerk_use, smoothed
@@ -222,6 +223,7 @@ def geometry_of(path: ObjectPath | PathGeometry, where: str) -> PathGeometry:
     if isinstance(path, PathGeometry):
         return path
     require(path, ObjectPath, f"{where}: path", "Give an ObjectPath.")
+    refuse_motion(path, where, "Plan the path of each phase, and give the program planned paths.")
     geometry = None
     if path.known_ahead and np.isfinite(path.duration):
         geometry = path.geometry() if is_known(path) else path.geometry() or sampled_geometry(path)

@@ -11,11 +11,13 @@ from coopqp.scenarios.cells import dual_arm7, five_joint_pair, mixed_cell, panda
 from coopqp.scenarios.loads import LOADED, base_off_lift, heavy_lift, hot_plate, palm_box, torque_lift
 from coopqp.scenarios.obstacles import elbow_and_knob, elbows, forearms, plate_and_post, plate_and_table, random_posts
 from coopqp.scenarios.paper import abb_lift, fast_lift, kuka_lift, mixed_lift, paper_lift, wide_grasp
+from coopqp.scenarios.programs import PROGRAMS, conveyor, draw_on_plate, hand_over, pliers, positioner, regrasp_plate
 from coopqp.scenarios.robots import ROBOT_NAMES, robot_path
 from coopqp.scenarios.troubles import at_limit, at_singularity
 
 __all__ = [
     "LOADED",
+    "PROGRAMS",
     "ROBOTS",
     "ROBOT_NAMES",
     "SCENARIOS",
@@ -25,12 +27,15 @@ __all__ = [
     "at_limit",
     "at_singularity",
     "base_off_lift",
+    "conveyor",
+    "draw_on_plate",
     "dual_arm7",
     "elbow_and_knob",
     "elbows",
     "fast_lift",
     "five_joint_pair",
     "forearms",
+    "hand_over",
     "heavy_lift",
     "hot_plate",
     "kuka_lift",
@@ -41,7 +46,10 @@ __all__ = [
     "paper_lift",
     "plate_and_post",
     "plate_and_table",
+    "pliers",
+    "positioner",
     "random_posts",
+    "regrasp_plate",
     "ring",
     "robot_arm",
     "robot_data_path",
@@ -55,14 +63,15 @@ __all__ = [
     "wide_grasp",
 ]
 
-#: The function of every scenario, by name; scenarios in :data:`LOADED` run in the physics engine. A call without
+#: The function of every scenario, by name; scenarios in :data:`LOADED` run in the physics engine,
+#: those in :data:`PROGRAMS` are programs. A call without
 #: arguments uses the defaults. Some need the extra ``robots``.
 SCENARIOS: dict[str, Callable[[], Scenario]] = {
-    make.__name__: make  # type: ignore[misc]  # the functions have other arguments, all with defaults
+    make.__name__: make  # the functions have other arguments, all with defaults
     for make in (
         paper_lift, wide_grasp, fast_lift, kuka_lift, abb_lift, mixed_lift, at_limit, at_singularity, dual_arm7,
         panda_bar, ur5_table, mixed_cell, ring, scara_pair, five_joint_pair, plate_and_post, plate_and_table,
-        elbow_and_knob, elbows, forearms, random_posts, *LOADED.values(),
+        elbow_and_knob, elbows, forearms, random_posts, *LOADED.values(), *PROGRAMS.values(),
     )
 }  # fmt: skip
 

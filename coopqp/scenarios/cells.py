@@ -13,8 +13,9 @@ import numpy as np
 import pinocchio as pin
 
 from coopqp.errors import InvalidInputError, UnknownNameError
-from coopqp.paths.path import TimeLaw, WaypointPath
+from coopqp.paths.path import WaypointPath
 from coopqp.paths.scenario import Scenario
+from coopqp.paths.time_law import TimeLaw
 from coopqp.scenarios.stations import STANCES, Station, facing, moved, put_together
 from coopqp.scenarios.units import Radians, Seconds
 

@@ -19,8 +19,9 @@ import pinocchio as pin
 from coopqp.model.cell import RobotCell
 from coopqp.model.grasp import Grasp
 from coopqp.model.inverse_kinematics import inverse_kinematics
-from coopqp.paths.path import LinePath, TimeLaw
+from coopqp.paths.path import LinePath
 from coopqp.paths.scenario import Scenario
+from coopqp.paths.time_law import TimeLaw
 from coopqp.scenarios.arms import robot_arm
 from coopqp.scenarios.units import Metres, RadiansPerSecond, Seconds
 

@@ -13,8 +13,9 @@ import pinocchio as pin
 from coopqp.checks import Array, Doc, as_scalar, as_vector
 from coopqp.errors import InvalidInputError, UnknownNameError
 from coopqp.model.state import CellState
-from coopqp.paths.path import LinePath, TimeLaw
+from coopqp.paths.path import LinePath
 from coopqp.paths.scenario import Scenario
+from coopqp.paths.time_law import TimeLaw
 from coopqp.scenarios.paper import paper_lift
 from coopqp.scenarios.stations import Stance, Station, put_together
 from coopqp.scenarios.units import MetresPerSecond, Radians, RadiansPerSquareSecond

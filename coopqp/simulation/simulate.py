@@ -14,6 +14,9 @@ from coopqp.control.interface import Controller, ControlStep, Status
 from coopqp.errors import InvalidInputError
 from coopqp.model.cell import RobotCell
 from coopqp.model.limits import BindingLimit
+from coopqp.paths.moving_grasps import refuse_motion
+from coopqp.paths.path import ObjectPath
+from coopqp.programs.program import Program
 from coopqp.simulation.plants.kinematic import KinematicPlant, Plant
 from coopqp.simulation.recording.notes import Notes
 from coopqp.simulation.recording.recording import Recording, entries_of
@@ -79,6 +82,8 @@ def simulate(
             raise InvalidInputError(what, f"simulate: {name}", f"Give an object with {' and '.join(methods)}.")
     cell: RobotCell = controller.cell
     plant = KinematicPlant(cell) if plant is None else plant
+    if not isinstance(plant, KinematicPlant) and hasattr(plant, "grasp"):
+        refuse_motion(controller.path, "simulate: plant", "Give a KinematicPlant: the grips of this one stay closed.")
     endless = not np.isfinite(controller.path.duration)
     if duration is None and endless:
         raise InvalidInputError("the path has no end", "simulate: duration", "Say how long to run [s].")
@@ -152,6 +157,11 @@ def _stands(step: ControlStep) -> bool:
     return step.status in (Status.BLOCKED, Status.HOLDING, Status.FAULT)
 
 
+def _phases_of(path: ObjectPath) -> list[dict[str, Any]]:
+    """The phases of a program as plain data; none for other paths."""
+    return path.record() if isinstance(path, Program) else []
+
+
 @final
 class RunRecorder:
     """Gathers the steps of a run."""
@@ -162,7 +172,8 @@ class RunRecorder:
         self._loaded = loaded
         self._rows = {"time": Rows(), "clock": Rows(), "rate": Rows(), "status": Rows(), "reference": Rows(4, 4)}
         self._rows |= {"q": Rows(cell.nq), "q_command": Rows(cell.nq), "velocity": Rows(cell.nv)}
-        if hasattr(controller, "shift"):
+        self._follows = getattr(controller, "path", None) is not None and controller.path.grasps is not None
+        if hasattr(controller, "shift") or self._follows:
             self._rows["shift"] = Rows(len(cell), 6)
         if loaded is not None:
             self._rows |= {"wrenches": Rows(len(cell), 6), "torques": Rows(cell.nv)}
@@ -186,8 +197,10 @@ class RunRecorder:
         self._append(time=self._now, q=measured)
         self._append(velocity=step.velocity, rate=step.rate, status=float(step.status.code))
         self._notes.take(step)
-        if "shift" in self._rows:
-            self._append(shift=self._controller.shift)
+        if self._follows and step.path.grasps is not None:
+            self._append(shift=step.path.grasps.shifts(step.clock_next))
+        elif "shift" in self._rows:
+            self._append(shift=getattr(self._controller, "shift", np.zeros((len(self._controller.cell), 6))))
         if self._loaded is not None:
             self._append(wrenches=self._loaded.sensed_wrenches(), torques=self._loaded.joint_torques)
         if step.binding != self._last:
@@ -228,6 +241,7 @@ class RunRecorder:
                 "sources": [arm.source for arm in cell.arms],
                 "scene": describe_cell(cell),
                 "path": describe_path(controller.path),
+                **({"phases": phases} if (phases := _phases_of(controller.path)) else {}),
                 "binding": self._binding,
                 "begun": self._begun,
                 "calls": self._calls,

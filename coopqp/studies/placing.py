@@ -21,6 +21,7 @@ from coopqp.model.batch import ArmKinematics
 from coopqp.model.branches import amount
 from coopqp.model.cell import RobotCell
 from coopqp.model.grasp import Grasp
+from coopqp.paths.moving_grasps import refuse_motion
 from coopqp.paths.path import ObjectPath
 from coopqp.paths.scenario import Scenario
 from coopqp.planning.arm_starts import ArmOnPath, BranchAlongPath, arm_on_path, trouble
@@ -230,6 +231,7 @@ class Placer:
     ) -> None:
         grasp.check_arms(cell)
         cell.refuse_shared("Placer")
+        refuse_motion(path, "Placer: path", "Place the bases for each phase by itself.")
         self.cell, self.grasp, self.goals = cell, grasp, goals or Goals()
         self.samples = sample_path(path, grasp)
         if len(self.samples.clocks) < 2:

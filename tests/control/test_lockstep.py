@@ -36,6 +36,7 @@ from coopqp.model import CellState
 from coopqp.native import available_kernels
 from coopqp.scenarios import (
     LOADED,
+    PROGRAMS,
     SCENARIOS,
     Scenario,
     at_limit,
@@ -326,7 +327,7 @@ def test_both_agree_in_short(mode: str) -> None:
 
 
 #: Scenarios whose arms have fewer than six joints, which the core leaves to the plain definition.
-FEW_JOINTS = ("five_joint_pair", "scara_pair")
+FEW_JOINTS = ("conveyor", "five_joint_pair", "positioner", "scara_pair")
 #: Cells of other robots, whose meshes are read.
 OTHER_ROBOTS = ("panda_bar", "ur5_table")
 
@@ -353,7 +354,7 @@ def every_run() -> Iterator[Any]:
 
     Sanitized: those in three cells that it has not in short.
     """
-    for i, name in enumerate(sorted(set(SCENARIOS) - set(LOADED) - set(FEW_JOINTS))):
+    for i, name in enumerate(sorted(set(SCENARIOS) - set(LOADED) - set(PROGRAMS) - set(FEW_JOINTS))):
         for k, mode in enumerate(MODES):
             if name in IN_FULL or (i + k) % 3 == 0 or NIGHTLY:
                 sanitized = name in ("paper_lift", "mixed_cell", "at_limit") and mode not in IN_SHORT

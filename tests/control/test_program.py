@@ -23,6 +23,7 @@ from coopqp.model.chain import Chain
 from coopqp.native import available_kernels
 from coopqp.scenarios import (
     LOADED,
+    PROGRAMS,
     SCENARIOS,
     Scenario,
     at_singularity,
@@ -198,7 +199,7 @@ def test_the_rows_of_the_condensed_form_have_unit_norm(
 
 
 #: Those of LOADED move the arms as the paper's lift does.
-NAMES = [name for name in SCENARIOS if name not in LOADED]
+NAMES = [name for name in SCENARIOS if name not in (*LOADED, *PROGRAMS)]
 
 
 @pytest.mark.parametrize(
@@ -206,9 +207,7 @@ NAMES = [name for name in SCENARIOS if name not in LOADED]
     slow_but_first([{}, {"velocity": 0.2}, {"acceleration": 2.0}]),
     ids=["own", "slow", "accelerating"],
 )
-@pytest.mark.parametrize(
-    "name", slow_unless(lambda name: name in ("dual_arm7", "scara_pair"), [n for n in SCENARIOS if n not in LOADED])
-)
+@pytest.mark.parametrize("name", slow_unless(lambda name: name in ("dual_arm7", "scara_pair"), NAMES))
 def test_both_forms_agree_on_every_scenario(name: str, limits: dict[str, float], monkeypatch: Any) -> None:
     task = SCENARIOS[name]()
     task = replace(task, cell=task.cell.with_limits(**limits) if limits else task.cell)

@@ -14,7 +14,8 @@ from numpy.typing import NDArray
 from coopqp import HoldPath, InvalidInputError, LinePath, ObjectPath, ServoPath, WaypointPath
 from coopqp.errors import UnknownNameError
 from coopqp.paths import TimeLaw
-from coopqp.paths.path import ScrewParameters, as_time_law
+from coopqp.paths.path import ScrewParameters
+from coopqp.paths.time_law import as_time_law
 from coopqp.spatial import adjoint
 
 Array = NDArray[np.float64]

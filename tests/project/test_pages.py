@@ -29,7 +29,7 @@ from coopqp.visualization import plots
 PAGES = [ROOT / "README.md", ROOT / "benchmarks" / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]
 BLOCK = re.compile(r"^```(\S+)[^\n]*\n(.*?)^```$", re.M | re.S)
 #: Languages that are shown only: outputs and diagrams.
-SHOWN = {"text", "{literalinclude}", "{eval-rst}", "{toctree}"}
+SHOWN = {"text", "{literalinclude}", "{eval-rst}", "{toctree}", "{index}"}
 #: Programs of others, with the lines in which they may stand.
 OTHERS = {"qpbenchmark": "benchmarks/README.md", "cd": "benchmarks/README.md"}
 

@@ -23,7 +23,7 @@ LAZY = (
         f"coopqp.{package}"
         for package in (
             "baselines", "collision", "constraints", "control", "drivers", "files", "forces", "model", "paths",
-            "planning", "simulation", "solvers", "studies", "visualization",
+            "planning", "programs", "simulation", "solvers", "studies", "visualization",
         )
     ),
 )  # fmt: skip

@@ -35,6 +35,7 @@ from coopqp.model.posture import Posture
 from coopqp.model.state import CellState
 from coopqp.native import layout
 from coopqp.native.constants import MOST_MINDING, MOST_TIGHTENINGS, SEGMENT
+from coopqp.paths.grasp_motion import GraspMotion
 from coopqp.paths.guarded import GuardedPath, is_known
 from coopqp.paths.path import ObjectPath
 from coopqp.paths.servo import ServoPath
@@ -47,7 +48,7 @@ _NOT_FINITE, _PATH_FAILED, _LOOK_AHEAD_FAILED, _CONSTRAINT_FAILED = (
 )
 #: Fields that the definition answers from.
 _GIVEN = (
-    "pose", "positions", "velocity", "before", "predicted", "foreseen", "asked_shift", "along", "measured",
+    "pose", "positions", "velocity", "before", "predicted", "foreseen", "asked_shift", "along", "own_along", "measured",
     "null_along", "null_offset",
 )  # fmt: skip
 _QP, _FILLED, _OPEN, _ASK = (layout.OUTCOMES.index(name) for name in ("QP", "FILLED", "OPEN", "ASK"))
@@ -82,13 +83,15 @@ class CompiledLoop:
         self.cell, self.grasp, self.dt, self.options = cell, grasp, dt, options
         self.constraints = constraints
         chain, box = Chain(cell, grasp), VelocityBox(cell)
-        shares = options.common_error.shares(cell)
+        shares = self._shares = options.common_error.shares(cell)
         self.solver = StepSolver(chain, box, options)
         self._chain, self._box, self._definition = chain, box, LinearisedStep(chain, box, shares, self.solver, options)
         unit = self.solver.program.units
         memory = self._memory = build_memory(chain, box, shares, unit, options, dt, arithmetic=arithmetic)
         self.at, self._core, self._loop, self._proposal = memory.at, memory.core, memory.loop, memory.proposal
         self._shift: Array | None = None
+        self._motion: GraspMotion | None = None
+        self._fixed = [pin.SE3.Identity()] * len(cell)
         numbers = memory.options
         numbers.own_solver = self.solver.name == "ldp"
         self._certified = constraints.certified
@@ -136,6 +139,7 @@ class CompiledLoop:
         )  # fmt: skip
         evades = None if self._guarded.keeps_clear else self._evades
         self._core.bind(step_type=ControlStep, context=self._reader, status_names=self._reader.statuses, evade=evades)
+        self._take_motion()
         self.take_path()
 
     def take_path(self) -> None:
@@ -150,6 +154,26 @@ class CompiledLoop:
             numbers = np.concatenate([numbers, path.elbows.packed()])
         self._core.bind(own_path=own)
         self._core.set_path(numbers, duration, looks_ahead, not is_known(self.path))
+
+    def _take_motion(self) -> None:
+        """Hand the core how the tools move on the object along the path, and who holds it when."""
+        at, motion, cell = self.at, self._guarded.grasps, self.cell
+        had = self._motion is not None
+        self._motion = motion
+        if motion is None:
+            if had:
+                at["object"][:], at["shares"][:] = at["places"], self._shares_of(None)
+                self._chain.place(self._fixed)
+            self._core.set_grasps(None)
+            return
+        numbers, n = motion.packed(), len(cell)
+        contact = [[clock, *self._shares_of(holds)] for clock, holds in motion.contact]
+        self._core.set_grasps(np.concatenate([numbers[:n], [len(contact)], np.ravel(contact), numbers[n:]]))
+
+    def _shares_of(self, holds: tuple[bool, ...] | None) -> Array:
+        """Shares (6 N,) in the common error while some arms hold; None: all do."""
+        given = self.options.common_error
+        return np.ravel(given.shares(self.cell) if holds is None else given.shares_of(self.cell, holds))
 
     def take_shift(self, shift: Array) -> Callable[[], bool]:
         """Returns a function that reads ``shift`` (N, 6) and moves the grasps; it returns False if not finite."""
@@ -447,6 +471,9 @@ class CompiledLoop:
         at, p, box = self.at, self._proposal, self._box
         if self._shift is not None:
             self._chain.shift_grasp(self._shift)
+        if self._motion is not None:
+            self._chain.place(self._motion.placements(self._loop.clock))
+            self._shares[:] = at["shares"].reshape(-1, 6)
         given = self._given()
         found = self._definition.answer(given)
         terms, answer = found.terms, found.answer
@@ -470,9 +497,10 @@ class CompiledLoop:
         predicted, foreseen, asked = (at[name].reshape(-1, 6) for name in ("predicted", "foreseen", "asked_shift"))
         known, pose = bool(loop.has_predicted), _pose_of(at["pose"])
         carried = self._chain.carried(self.q)
+        along = at["along"] if self._motion is None else at["own_along"].reshape(-1, 6)
         return StepInput(
             q=self.q, positions=at["positions"], carried=carried, errors=self._chain.errors(carried, pose),
-            v=at["velocity"], v_before=at["before"], h=p.dt, cap=p.cap, pose=pose, along=at["along"],
+            v=at["velocity"], v_before=at["before"], h=p.dt, cap=p.cap, pose=pose, along=along,
             measured=at["measured"] if p.has_measured else None, predicted=predicted if known else None,
             foreseen=foreseen if known else 0.0, last_dt=loop.last_dt,
             asked=asked if known and loop.shift_asked else None, null_along=at["null_along"],

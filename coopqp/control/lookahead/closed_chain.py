@@ -102,6 +102,7 @@ class ClosedChainAhead:
         self._chain, self._path, self._posture, self._bound, self._evade = chain, path, posture, bound, evade
         self._duration, self._options, self._plan = path.duration, options, plan
         self._cell, self._avoidance = chain.cell, LimitAvoidance(chain)
+        self._motion = path.grasps
         self._low, self._high = chain.cell.limits.lower, chain.cell.limits.upper
         #: The joints that move the tools, part by part of the chain, and the first index of each part.
         self._moving = np.concatenate(chain.part_columns)
@@ -118,6 +119,7 @@ class ClosedChainAhead:
         pose = self._path.pose(clock)
         if pose is None:
             raise LookAheadTrouble(self._path.problem)
+        self._place_grasps(clock)
         q, errors = newton(self._chain, pose, q, tolerance=1e-10, max_iter=STARTING_STEPS)
         self.no_horizon = self._beyond_few_joints(errors)
         if not np.abs(errors).max() < 1e-6 and not self.no_horizon:
@@ -223,13 +225,18 @@ class ClosedChainAhead:
         twist = None if pose is None else path.twist(max(min(clock, self._duration) - before, 0.0))
         if pose is None or twist is None:
             raise LookAheadTrouble(path.problem)
+        self._place_grasps(clock)
         errors = chain.errors(chain.carried(q), pose)
         if not np.abs(errors).max() < np.inf:
             return None
         chain.linearise(q, about=pose.translation)
         to_world = for_twists(pose.rotation)
         step = chain.joint_velocities(-errors @ to_world.T)
-        slope = chain.joint_columns((to_world @ twist)[:, None])[:, 0]
+        if self._motion is None:
+            slope = chain.joint_columns((to_world @ twist)[:, None])[:, 0]
+        else:  # each tool also moves on the object
+            own = twist + self._motion.twists(max(min(clock, self._duration) - before, 0.0))
+            slope = chain.joint_velocities(own @ to_world.T)
         if chain.redundancy:
             elbows_led = path.elbows is not None
             slope += chain.null_part(self.elbow_velocity(clock, q) if elbows_led else self._posture.velocity(q))
@@ -238,6 +245,11 @@ class ClosedChainAhead:
             if not elbows_led:
                 slope = self._avoidance.led_away(self._cell.positions(q), slope)
         return _NewtonStep(errors, step, slope) if step @ step + slope @ slope < np.inf else None
+
+    def _place_grasps(self, clock: float) -> None:
+        """Place the tools where they are on the object at a clock [s]."""
+        if self._motion is not None:
+            self._chain.place(self._motion.placements(min(clock, self._duration)))
 
     @property
     def led(self) -> bool:

@@ -12,6 +12,7 @@ import pinocchio as pin
 from coopqp.control.operator.hands import HAND_SILENCE
 from coopqp.control.operator.way import Way
 from coopqp.native.constants import SAME_CLOCK
+from coopqp.paths.moving_grasps import grasp_at
 from coopqp.paths.section import Section
 from coopqp.paths.servo import ServoPath
 from coopqp.paths.shifted import ShiftedPath, clock_after
@@ -73,8 +74,7 @@ class Travel(Change):
         if self.to is None:
             if way.whole:
                 return True
-            ahead = Way.of(program)
-            return operator.take(ahead, clock) if rests or way.sense > 0 else False
+            return operator.take(*operator.onward(program, clock)) if rests or way.sense > 0 else False
         if abs(self.to - clock) <= SAME_CLOCK:
             if rests:
                 operator.rest_at(clock)
@@ -83,7 +83,11 @@ class Travel(Change):
         if not rests and sense != way.sense:
             return False
         elbows = operator.trail.back(clock) if sense < 0 and operator.trail is not None else None
-        section = Section(program, clock, self.to, elbows=elbows, keeps_clear=True if elbows is not None else None)
+        to = self.to
+        if sense > 0:  # no further than to a shut gate
+            shut = [at for at, name in program.gates if name not in operator.opened and at > clock + SAME_CLOCK]
+            to = min([to, *shut])
+        section = Section(program, clock, to, elbows=elbows, keeps_clear=True if elbows is not None else None)
         return operator.take(Way.along(section), 0.0)
 
 
@@ -109,7 +113,7 @@ class Shift(Change):
             assert isinstance(section, Section)
             return operator.take(replace(way, program=shifted), operator.loop_clock, same=True)
         if way.whole:
-            return operator.take(Way.of(shifted), clock)
+            return operator.take(*operator.onward(shifted, clock))
         assert isinstance(way.path, Section)
         return operator.take(Way.along(Section(shifted, clock, way.path.end)), 0.0)
 
@@ -142,7 +146,8 @@ class Jog(Change):
         here = path.pose(operator.loop_clock)
         R = np.eye(3) if self.arm == -1 else here.rotation
         if self.arm >= 0:
-            R = R @ operator.grasp.T_object_tool[self.arm].rotation
+            held = grasp_at(operator.grasp, operator.way.program, operator.clock)
+            R = R @ held.T_object_tool[self.arm].rotation
         v, w = R @ self.twist[:3], R @ self.twist[3:]
         path.speed, path.spin = (float(np.linalg.norm(x)) or 1.0 for x in (v, w))
         goal = pin.SE3(pin.exp3(JOG_AHEAD * w) @ here.rotation, here.translation + JOG_AHEAD * v)

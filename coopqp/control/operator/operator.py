@@ -23,19 +23,22 @@ from coopqp.model.cell import RobotCell
 from coopqp.model.chain import Chain
 from coopqp.model.grasp import Grasp
 from coopqp.model.limits import LimitKind
-from coopqp.native.constants import RATE_ROUNDING, RATE_TOLERANCE, STILL_OBJECT
+from coopqp.native.constants import RATE_ROUNDING, RATE_TOLERANCE, SAME_CLOCK, STILL_OBJECT
 from coopqp.paths.guarded import GuardedPath
 from coopqp.paths.path import ObjectPath
+from coopqp.paths.section import Section
 from coopqp.paths.servo import ServoPath
 
 #: Calls that are remembered until they are read: a recorder reads them in every step, and without one nobody does.
 _MOST_EVENTS = 100
+#: Length of the way to a gate at which the object is already [s].
+_GATE_WAY = 1e-3
 #: Steps between two looks at most.
 _MOST_BETWEEN = 1000
 #: Attributes that calls and steps change, beside the trail.
 _VARYING = (
     "way", "wanted", "then", "_override", "paused", "age", "holds_for", "returns", "gear", "clutch", "_left", "_brakes",
-    "looks_in", "_looked",
+    "looks_in", "_looked", "opened", "_run_time", "_goes_on",
 )  # fmt: skip
 _STOPPED = (Status.HOLDING, Status.FAULT)
 
@@ -61,6 +64,7 @@ class Operator:
         gear: the belt that the program's clock follows; None without one.
         clutch: the hand that leads the object; None if none is engaged.
         trail: what redundant arms travelled; None if there are none.
+        opened: signals that have come since the start; their gates stay open.
     """
 
     def __init__(
@@ -69,7 +73,12 @@ class Operator:
         self._cell, self.grasp, self._loop, self._dt = cell, grasp, loop, dt
         self._ramp_time = RampTime(cell, grasp, options.preview, dt=dt)
         self._accelerates = bool(np.isfinite(cell.limits.acceleration).any())
-        self.way = Way.of(program)
+        self.opened: frozenset[str] = frozenset()
+        #: Time since the start of the run, while signals are to come by themselves [s].
+        self._run_time = 0.0
+        #: A gate has opened: the object goes on along the program as soon as that keeps its rate.
+        self._goes_on = False
+        self.way = self.onward(program, 0.0)[0]
         self.wanted: Change | None = None
         self.then: Change | None = None
         self._override, self.paused = 1.0, False
@@ -107,8 +116,8 @@ class Operator:
     def rests(self) -> bool:
         """Whether the object rests, and its joints may."""
         loop = self._loop
-        twist = GuardedPath(self.way.path).twist(loop.clock) if loop.rate > 0.0 else None
-        moves = twist is not None and np.abs(loop.rate * twist).max() > STILL_OBJECT
+        motion = GuardedPath(self.way.path).motion(loop.clock) if loop.rate > 0.0 else None
+        moves = motion is not None and np.abs(loop.rate * motion).max() > STILL_OBJECT
         return not moves and self._ramp_time.admits(loop.velocity)
 
     @property
@@ -119,7 +128,64 @@ class Operator:
     @property
     def quiet(self) -> bool:
         """Whether steps need nothing from here, or only :meth:`passed`."""
-        return self.wanted is None and self.way.sense != 0 and self.gear is None
+        calm = self.wanted is None and self.way.sense != 0 and self.gear is None
+        return calm and not self._goes_on and not self._signals_to_come and self.waits_for is None
+
+    # -- gates -----------------------------------------------------------------------------------------------------
+
+    def onward(self, program: ObjectPath, clock: float) -> tuple[Way, float]:
+        """The way on from a clock of a program [s], to the next gate that is shut or to the end; and the clock on it.
+
+        At a shut gate it is the way to that gate.
+        """
+        shut = [at for at, name in program.gates if name not in self.opened and at >= clock - SAME_CLOCK]
+        if not shut or shut[0] >= program.duration - SAME_CLOCK:
+            return Way.of(program), clock
+        begin = max(min(clock, shut[0] - _GATE_WAY), 0.0)
+        return Way.along(Section(program, begin, shut[0])), min(clock, shut[0]) - begin
+
+    @property
+    def waits_for(self) -> str | None:
+        """The signal that the object waits for, at rest at its gate; None if it waits for none."""
+        way = self.way
+        if way.sense <= 0 or way.whole or self.loop_clock < way.path.duration:
+            return None
+        return self._gate_at(way.path.end)  # type: ignore[attr-defined]
+
+    def _gate_at(self, clock: float) -> str | None:
+        """The shut gate at a clock of the program [s]."""
+        for at, name in self.way.program.gates:
+            if abs(at - clock) <= SAME_CLOCK and name not in self.opened:
+                return name
+        return None
+
+    def signal(self, name: str) -> None:
+        """A signal has come: its gates are open from now on."""
+        if name in self.opened:
+            return
+        self.opened |= {name}
+        way = self.way
+        self._goes_on = way.sense > 0 and not way.whole
+
+    @property
+    def _signals_to_come(self) -> bool:
+        """Whether signals come by themselves later."""
+        return any(name not in self.opened for name in self.way.program.signals)
+
+    def _tell_signals(self, dt: float) -> None:
+        """Give the signals that are due, and go on through a gate that has opened."""
+        if self._signals_to_come:
+            self._run_time += dt
+            for name, at in self.way.program.signals.items():
+                if at <= self._run_time:
+                    self.signal(name)
+        if self._goes_on and self.wanted is None:
+            way = self.way
+            if way.sense <= 0 or way.whole:
+                self._goes_on = False
+            else:
+                ahead, clock = self.onward(way.program, self.clock)
+                self._goes_on = not self.take(ahead, clock)
 
     @property
     def glances(self) -> bool:
@@ -138,13 +204,20 @@ class Operator:
 
     # -- what is asked for -----------------------------------------------------------------------------------------
 
-    def restart(self, program: ObjectPath) -> None:
-        """Follow the whole program; forget all changes."""
-        self.way, self.wanted, self.then, self.returns, self._left = Way.of(program), None, None, False, None
+    def restart(self, program: ObjectPath, clock: float = 0.0) -> float:
+        """Follow the whole program from a clock [s] on, up to its first gate; forget all changes.
+
+        Returns:
+            The clock on the way.
+        """
+        self.opened, self._run_time, self._goes_on = frozenset(), 0.0, False
+        self.wanted, self.then, self.returns, self._left = None, None, False, None
+        self.way, begin = self.onward(program, clock)
         self.gear = self.clutch = None
         self.age = math.inf
         self.looks_in = self._looked = 1
         self._let_go()
+        return begin
 
     def begin_trail(self) -> None:
         """The run begins here."""
@@ -275,9 +348,9 @@ class Operator:
 
     def _first_rate(self, way: Way, clock: float) -> float:
         """The rate that a path begins with from rest: full where the path itself begins at rest."""
-        twist = GuardedPath(way.path).twist(clock)
+        motion = GuardedPath(way.path).motion(clock)
         override, paused = self._loop.reins
-        return 0.0 if paused or twist is None or np.any(twist) else float(override)
+        return 0.0 if paused or motion is None or np.any(motion) else float(override)
 
     def _follow(self, way: Way, clock: float, rate: float) -> None:
         if way.sense > 0 and self.way.sense < 0 and self.trail is not None:
@@ -291,7 +364,7 @@ class Operator:
         """Rest on the program at a clock [s], paused."""
         self.paused = True
         self._loop.set_reins(self.override, paused=True)
-        self._follow(Way.of(self.way.program), clock, 0.0)
+        self._follow(*self.onward(self.way.program, clock), 0.0)
 
     def lead(self) -> bool:
         """Be led by hand: from rest."""
@@ -302,6 +375,7 @@ class Operator:
             return False
         clock, at = self.clock, self.loop_clock
         path = ServoPath(way.path.pose(at))
+        path.grasps = None if way.path.grasps is None else way.path.grasps.still(at)
         self._left = way, at
         self._loop.set_reins(self.override, paused=True)
         self._follow(Way(path, way.program, clock, 0), 0.0, 0.0)
@@ -322,7 +396,10 @@ class Operator:
                 self.rein()
         if self.returns and self._back_on_path():
             return
-        if way.sense != 0 and not way.whole and loop.clock >= way.path.duration and self.wanted is None:
+        self._tell_signals(dt)
+        way = self.way
+        waits = self.waits_for is not None or self._goes_on
+        if way.sense != 0 and not way.whole and loop.clock >= way.path.duration and self.wanted is None and not waits:
             self.rest_at(self.clock)
         if self.wanted is not None:
             self.attempt()
@@ -361,6 +438,9 @@ class Operator:
         self.looks_in = self._looked = max(1, min(most, int(min(left, 1e6) / self._longest_dt)))
         if left > 0.0:
             return False
+        if self.waits_for is not None:
+            self._say_waiting(step)
+            return True
         if step.status is Status.TRACKING and loop.rate < 1.0 - RATE_ROUNDING:
             reason = "; ".join(filter(None, (step.reason, "the object comes to rest where it was told to")))
             amend(step, status=Status.SLOWED, rate=loop.rate, cause=Cause.OPERATOR, reason=reason)
@@ -368,8 +448,10 @@ class Operator:
 
     def tell(self, step: ControlStep) -> None:
         """Say in a step that the object slows for a change, and no limit does it."""
-        wanted = self.wanted
-        if wanted is not None and step.status in (Status.SLOWED, Status.PAUSED) and not self.paused:
+        wanted, gate = self.wanted, self.waits_for
+        if wanted is None and gate is not None:
+            self._say_waiting(step)
+        elif wanted is not None and step.status in (Status.SLOWED, Status.PAUSED) and not self.paused:
             binding = tuple(b for b in step.binding if b.kind is not LimitKind.OVERRIDE)
             reason = "; ".join(filter(None, (step.reason, wanted.waits)))
             amend(step, status=Status.SLOWED, cause=Cause.OPERATOR, binding=binding, reason=reason)
@@ -380,6 +462,13 @@ class Operator:
             binding = tuple(b for b in step.binding if b.kind is not LimitKind.OVERRIDE)
             cause = self.way.cause(Status.PAUSED, None, binding)
             amend(step, cause=cause, binding=binding, reason="; ".join(filter(None, (step.reason, why))))
+
+    def _say_waiting(self, step: ControlStep) -> None:
+        """Say in a step that the object rests at a gate, and for what signal it waits."""
+        if step.status in (Status.TRACKING, Status.SLOWED, Status.BLOCKED):
+            reason = "; ".join(filter(None, (step.reason, f"it waits for the signal '{self.waits_for}'")))
+            rate = self._loop.rate if step.clock_next > step.clock else 0.0
+            amend(step, status=Status.WAITING, rate=rate, cause=Cause.OPERATOR, binding=(), reason=reason)
 
     def _by_hand(self) -> str:
         if self.returns:

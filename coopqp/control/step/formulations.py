@@ -58,7 +58,7 @@ class StepTerms:
 
     Attributes:
         rotation: R of the reference pose (3, 3).
-        along: ν, twist of the object along its path at full rate (6,).
+        along: ν, twist of the object along its path at full rate (6,); of each arm (N, 6) where tools move on it.
         path_correction: c_p (6,).
         grasp_corrections: c_k (N, 6).
         offsets: b_k, defects of the linearisation (N, 6).

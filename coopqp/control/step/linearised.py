@@ -33,7 +33,7 @@ class StepInput:
         h: length of the step [s].
         cap: largest rate.
         pose: reference pose R of the object.
-        along: ν, twist along the path (6,).
+        along: ν, twist along the path (6,); (N, 6) where tools move on the object.
         measured: the object's error for the path correction (6,); None for the commanded one.
         predicted: errors that the last step expected for this one (N, 6); None if it expected none.
         foreseen: the defects b_k that the last step made up for (N, 6), or 0.
@@ -206,7 +206,7 @@ class LinearisedStep:
         project = Z @ np.linalg.solve(Z.T @ (metric[:, None] * Z), Z.T * metric)
         return replace(
             terms,
-            along=project @ terms.along,
+            along=project @ terms.along if terms.along.ndim == 1 else closing(terms.along, ranges),
             path_correction=project @ terms.path_correction,
             grasp_corrections=closing(terms.grasp_corrections, ranges),
             offsets=closing(terms.offsets, ranges),

@@ -38,10 +38,9 @@ from coopqp.control.step.velocity_bounds import VelocityBox
 from coopqp.control.step.verdict import away_from_path, cause_of, given_up, lasting, rests, slow_status, too_close
 from coopqp.model.cell import RobotCell
 from coopqp.model.chain import Chain
-from coopqp.model.grasp import Grasp, held_at
+from coopqp.model.grasp import Grasp, mean_pose
 from coopqp.model.limits import BindingLimit, LimitKind
 from coopqp.model.posture import Posture
-from coopqp.model.state import CellState
 from coopqp.native.constants import LEAST_PACE, MOST_TIGHTENINGS, NEGLIGIBLE, SAID_APART
 from coopqp.paths.guarded import GuardedPath, jump
 from coopqp.paths.path import ObjectPath
@@ -71,7 +70,9 @@ class PlainLoop:
         self.constraints = constraints
         self._chain, self._ahead_chain, self._box = Chain(cell, grasp), Chain(cell, grasp), VelocityBox(cell)
         self._ahead_shift = np.zeros((len(cell), 6))
+        self._fixed = [pin.SE3.Identity()] * len(cell)
         self._shares = options.common_error.shares(cell)
+        self._usual_shares = self._shares.copy()
         self.solver = StepSolver(self._chain, self._box, options)
         self._step = LinearisedStep(self._chain, self._box, self._shares, self.solver, options)
         self._posture = Posture(cell, options.posture)
@@ -92,6 +93,10 @@ class PlainLoop:
         """Take a path, as a way along a program; it begins with :meth:`start_path`."""
         self.path, self._guarded, self._way = path, GuardedPath(path), way or Way.of(path)
         self._on_path = self.options.on(self._guarded.planned_share)
+        self._motion = self._guarded.grasps
+        if self._motion is None:
+            self._chain.place(self._fixed)
+            self._shares[:] = self._usual_shares
         self._posture.take(self._on_path.posture)
         self._preview = None
         if self.options.preview is not None and self._guarded.known_ahead:
@@ -233,12 +238,13 @@ class PlainLoop:
             measured, trouble = supervision.accept_measurement(q_measured, s.q)
             if trouble:
                 measured, watch = None, Watch.holding(trouble)
+        self._place_grasps(s.clock)
         pose, carried = self._pose(s.clock), self._chain.carried(s.q)
         trouble, s.away = self._guarded.trouble(s.clock, h, carried[0], s.away)
         if trouble:
             measured, watch, lost = None, Watch.holding(trouble), True
             s.predicted, s.foreseen = None, 0.0  # from another reference
-            pose = held_at(self.grasp, self._shares, CellState(self.cell, s.q))
+            pose = mean_pose(carried, self._shares)
         self.reference = pose
         if s.fault:
             watch = Watch(0.0, hold=True, fault=True, arm=s.fault_arm, reason=s.fault, cause=s.fault_cause)
@@ -254,7 +260,23 @@ class PlainLoop:
 
     def _pose(self, clock: float) -> pin.SE3:
         pose = self._guarded.pose(clock)
-        return held_at(self.grasp, self._shares, CellState(self.cell, self.state.q)) if pose is None else pose
+        return mean_pose(self._chain.carried(self.state.q), self._shares) if pose is None else pose
+
+    def _place_grasps(self, clock: float) -> None:
+        """Place the tools where they are on the object at a clock [s], and let the arms that hold it make its pose."""
+        if self._motion is not None:
+            self._chain.place(self._motion.placements(clock))
+            self._shares[:] = self.options.common_error.shares_of(self.cell, self._motion.holds(clock))
+
+    def _along(self, pose: pin.SE3, ahead: pin.SE3, clock: float, span: float) -> Array:
+        """ν of each arm (N, 6), or of all (6,) where grasps are fixed: with M_k its tool's motion on the object,
+        ``log(R(τ)⁻¹ R(τ + h) M_k(τ + h) M_k(τ)⁻¹) / h``.
+        """
+        way = pose.actInv(ahead)
+        if self._motion is None:
+            return np.asarray(pin.log6(way).vector) / span
+        then, now = self._motion.placements(clock + span), self._motion.placements(clock)
+        return np.array([pin.log6(way * b * a.inverse()).vector for a, b in zip(now, then, strict=True)]) / span
 
     def _watch_chain(self, seen: Observed) -> None:
         """Name arms that their commands lead apart; hold them where they are too far apart."""
@@ -332,7 +354,7 @@ class PlainLoop:
                 seen.watch.lower(Watch.holding(self._guarded.problem))
                 cap = 0.0
             else:
-                along = np.asarray(pin.log6(seen.pose.actInv(ahead)).vector) / span
+                along = self._along(seen.pose, ahead, s.clock, span)
         if self._brakes_together:
             further = further.and_also(self._braking.rows(s.q, s.v, h, seen.carried[0].translation))
         null_along, null_offset = self._null_space_reference(span, hold=seen.watch.hold)

@@ -211,9 +211,11 @@ class StepSolver:
         offsets, grasp = (chain.joint_velocities(w @ terms.to_world.T) for w in twists)
         object_twist = chain.twists(v_prev).mean(axis=0)
         present = terms.to_world.T @ object_twist
-        length = float(terms.along @ (metric * terms.along))
-        rate = max(float(terms.along @ (metric * present)) / length, 0.0) if length > 0.0 else 0.0
-        motions = chain.joint_columns(np.column_stack([rate * (terms.to_world @ terms.along), object_twist])).T
+        along = terms.along if terms.along.ndim == 1 else terms.along.mean(axis=0)
+        length = float(along @ (metric * along))
+        rate = max(float(along @ (metric * present)) / length, 0.0) if length > 0.0 else 0.0
+        along_world = rate * (terms.along @ terms.to_world.T)
+        motions = chain.joint_columns(np.stack(np.broadcast_arrays(along_world, object_twist), axis=-1)).T
         motions = motions + chain.null_part(v_prev)
         soft, hard = further.only(further.soft > 0.0), further.only(further.soft == 0.0)
         for kept in (hard, further.only(np.zeros(len(further), dtype=bool))):

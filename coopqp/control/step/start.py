@@ -12,6 +12,7 @@ from coopqp.model.cell import RobotCell, slides
 from coopqp.model.grasp import Grasp
 from coopqp.model.state import CellState
 from coopqp.paths.guarded import GuardedPath
+from coopqp.paths.moving_grasps import grasp_at
 from coopqp.paths.path import ObjectPath
 from coopqp.spatial import Array
 
@@ -47,6 +48,7 @@ def check_start(
     if start is None:
         raise InvalidInputError(guarded.problem, "reset", "A path needs a pose where it starts.")
     where = f"its path at {clock:g} s" if clock > 0.0 else "the start of its path"
+    grasp = grasp_at(grasp, path, clock)
     for name, O in zip(cell.arm_names, grasp.carried(CellState(cell, configuration)), strict=True):
         error = pin.log6(start.actInv(O)).vector
         d, a = float(np.linalg.norm(error[:3])), float(np.linalg.norm(error[3:]))
@@ -136,13 +138,14 @@ def rate_into(rate: float, now: Array, ahead: Array, *, length: float) -> float 
 
     Args:
         rate: σ on the present path.
-        now, ahead: twists of both paths at rate 1, in the object's own frame (6,) [m/s, rad/s].
+        now, ahead: twists of both paths at rate 1, in the object's own frame (6,) [m/s, rad/s]; or of the object and of
+            all tools on it (1 + N, 6).
         length: weighs rotation against translation [m].
     """
     metric = np.array([1.0] * 3 + [length**2] * 3)
-    before, square = float(now @ (metric * now)), float(ahead @ (metric * ahead))
+    before, square = float(np.vdot(now, metric * now)), float(np.vdot(ahead, metric * ahead))
     if rate == 0.0 or (square < _RESTS <= before):
         return None
     if before < _RESTS and square < _RESTS:  # both rest at any rate
         return rate
-    return min(max(rate * float(ahead @ (metric * now)) / square, 0.0), 1.0)
+    return min(max(rate * float(np.vdot(ahead, metric * now)) / square, 0.0), 1.0)

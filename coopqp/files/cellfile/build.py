@@ -26,18 +26,16 @@ from coopqp.drivers.sim import SimDriver, SimOptions
 from coopqp.errors import CoopqpError, InvalidInputError, MissingExtraError, StartWarning, UnknownNameError
 from coopqp.files.cellfile.bodies import build_scene
 from coopqp.files.cellfile.build_arm import build_cell, build_placement, build_stiffness, in_radians
+from coopqp.files.cellfile.build_phases import build_program, first_pose
 from coopqp.files.cellfile.error import CellFileError
 from coopqp.files.cellfile.explain import explain, in_words_of_the_file
+from coopqp.files.cellfile.path_tables import HoldTable, LineTable, TimedTable, WaypointsTable
 from coopqp.files.cellfile.renamed import renewed
 from coopqp.files.cellfile.schema import (
     MAX_STEPS,
     CellFile,
     CommonErrorTable,
-    HoldTable,
-    LineTable,
     StartTable,
-    TimedTable,
-    WaypointsTable,
 )
 from coopqp.files.cellfile.search_tables import SearchTable
 from coopqp.files.cellfile.searched import SearchTask, search_task
@@ -56,6 +54,7 @@ from coopqp.paths.scenario import Scenario
 from coopqp.paths.timed import TimedPath
 from coopqp.planning.self_motion import led_path
 from coopqp.planning.starts import find_start
+from coopqp.planning.tools_on_object import tools_move
 from coopqp.simulation.evaluation.assessment import Tolerances
 from coopqp.simulation.evaluation.closeness import default_scene, with_clearance
 from coopqp.simulation.events import Operate
@@ -171,7 +170,7 @@ class CellRun:
 
     def led(self) -> CellRun:
         """The same run with its redundant arms led as its check proves; itself where nothing is proved or led."""
-        if not isinstance(self.options, QPOptions) or self.options.preview is None:
+        if not isinstance(self.options, QPOptions) or self.options.preview is None or tools_move(self.scenario.path):
             return self
         s, scene = self.scenario, self.scene if self.avoids else None
         path = led_path(s.cell, s.grasp, s.path, q_start=s.q_start, posture=self.options.posture, scene=scene)
@@ -307,6 +306,8 @@ def load_search(file: Path) -> tuple[CellFile, SearchTask]:
     """Read a cell file, and the search for a way round in it: its own, or one between the ends of its path."""
     settings = read(file)
     with _errors_of(file):
+        if settings.phases:
+            raise CoopqpError("no way round is searched for phases: give the path of one phase, in a file of its own.")
         return settings, _parts(settings, file.parent).search()
 
 
@@ -347,6 +348,8 @@ def _parts(file: CellFile, folder: Path) -> _Parts:
     path: ObjectPath | None = None
     if isinstance(file.path, SearchTable):
         T_start = build_placement(file.path.start)
+    elif file.path is None:
+        T_start = first_pose(file.phases, _path)
     else:
         path = _path(file.path)
         T_start = path.pose(0.0)
@@ -361,6 +364,8 @@ def _parts(file: CellFile, folder: Path) -> _Parts:
             "a latched grasp follows from the start, so no start can be found for it: give start.positions_deg or "
             "start.positions_rad, or another kind of grasp."
         )
+    if file.path is None:
+        path = build_program(file.phases, file.signals_s, cell, grasp, _path)
     near = q_start is not None and file.start.inverse_kinematics and not latched
     box = Body("object", Box(file.object.size_m), build_placement(file.object.centre))
     table = file.collision

@@ -18,14 +18,12 @@ from coopqp.errors import shown
 from coopqp.files.cellfile.basic import (
     MAX_ARMS,
     Angle,
-    Angles,
     Degrees,
     FilePath,
     Metres,
     Name,
     PerJoint,
     PlacementTable,
-    Position,
     Seconds,
     Sides,
     Stiffness,
@@ -33,7 +31,9 @@ from coopqp.files.cellfile.basic import (
     exactly_one,
 )
 from coopqp.files.cellfile.bodies import CollisionTable
+from coopqp.files.cellfile.path_tables import HoldTable, LineTable, TimedTable, WaypointsTable
 from coopqp.files.cellfile.paths import check_inside
+from coopqp.files.cellfile.phases import MAX_PHASES, PhaseTable
 from coopqp.files.cellfile.search_tables import SearchTable
 from coopqp.files.cellfile.sensors import DisturbancesTable, SensorTable
 from coopqp.files.cellfile.strict import MAX_LIST, Number, Numbers, Table, problem, table_of
@@ -43,8 +43,8 @@ from coopqp.simulation.evaluation.assessment import Tolerances
 from coopqp.simulation.plants.physics_options import PhysicsOptions
 from coopqp.simulation.simulate import PATIENCE
 
-#: Largest accepted numbers of steps and waypoints of a run.
-MAX_STEPS, MAX_WAYPOINTS = 1_000_000, 1_000
+#: Largest accepted number of steps of a run.
+MAX_STEPS = 1_000_000
 
 
 class LimitsTable(Table):
@@ -161,104 +161,6 @@ class LatchedGrasp(Table):
     """The grasp follows from the tools at the start and the first pose of the path."""
 
     kind: Literal["latched"]
-
-
-class DisplacementTable(Table):
-    """Displacement from the start: a translation, and a rotation about the object frame's origin, in world axes."""
-
-    translation_m: Position = Field(default=[0.0, 0.0, 0.0], description="translation")
-    rotation_vector_deg: Angles = Field(default=[0.0, 0.0, 0.0], description="axis times angle")
-
-
-TimeLawName = Literal["quintic", "linear"]
-
-
-class LineTable(Table):
-    """A straight line with a turn about one axis."""
-
-    kind: Literal["line"]
-    start: PlacementTable = Field(description="pose of the object frame in the world at the start")
-    goal: PlacementTable | None = Field(default=None, description="pose at the end; or give displacement")
-    displacement: DisplacementTable | None = Field(default=None, description="displacement in place of goal")
-    duration_s: Seconds = Field(description="duration at full rate")
-    time_law: TimeLawName = Field(default="quintic", description="quintic: rest to rest; linear: velocity jumps")
-
-    @model_validator(mode="after")
-    def _one_end(self) -> LineTable:
-        exactly_one(self, "goal", "displacement")
-        return self
-
-
-class WaypointsTable(Table):
-    """Straight lines through several poses."""
-
-    kind: Literal["waypoints"]
-    poses: Annotated[list[PlacementTable], Len(2, MAX_WAYPOINTS)] = Field(description="poses of the object frame")
-    durations_s: Annotated[list[Seconds], Len(1, MAX_WAYPOINTS)] = Field(
-        description="duration of each segment at full rate"
-    )
-    time_law: TimeLawName = Field(default="quintic", description="time law of every segment")
-
-    @model_validator(mode="after")
-    def _fits(self) -> WaypointsTable:
-        if len(self.durations_s) != len(self.poses) - 1:
-            raise problem(
-                f"{len(self.poses)} poses need {len(self.poses) - 1} durations_s, not {len(self.durations_s)}"
-            )
-        return self
-
-
-class HoldTable(Table):
-    """The object rests at one pose."""
-
-    kind: Literal["hold"]
-    pose: PlacementTable = Field(description="pose of the object frame in the world")
-    duration_s: Seconds = Field(description="duration")
-
-
-class BindingTable(Table):
-    """What limit a planned path uses up, from when to when."""
-
-    from_s: Annotated[float, Ge(0.0)] = Field(description="time along the path")
-    to_s: Annotated[float, Ge(0.0)] = Field(description="time along the path")
-    arm: str = Field(description="name of the arm")
-    joint: str = Field(description="name of the joint")
-    limit: Literal["velocity", "acceleration", "torque", "jerk"] = Field(description="kind of the limit")
-
-
-Rows = Annotated[list[Annotated[list[float], Len(1, MAX_LIST)]], Len(2, MAX_LIST)]
-
-
-class ElbowsTable(Table):
-    """The planned motion of redundant arms, along which they are led."""
-
-    clocks_s: Annotated[list[float], Len(2, MAX_LIST)] = Field(description="times along the path")
-    positions_rad: Rows = Field(description="positions of all joints at each [rad or m]")
-    speeds_rad_per_s: Rows = Field(description="their speeds there [rad/s or m/s]")
-
-
-class TimedTable(Table):
-    """A path with its speed profile, as `coopqp plan` writes it."""
-
-    kind: Literal["timed"]
-    pieces: Annotated[list[Annotated[list[float], Len(19, 25)]], Len(1, 2 * MAX_WAYPOINTS)] = Field(
-        description="numbers of each piece of the geometry: coopqp.TimedPath.record"
-    )
-    s_m: Annotated[list[float], Len(2, MAX_LIST)] = Field(description="grid points: the object's motion from the start")
-    squares: Annotated[list[float], Len(2, MAX_LIST)] = Field(description="square of the speed at each of them [m²/s²]")
-    planned_share: Annotated[float, Ge(1e-6), Le(1.0)] | None = Field(
-        default=None, description="share of the joints' limits that it was planned with"
-    )
-    keeps_clear: bool = Field(
-        default=False,
-        description="the planned motion is proved to keep clear of the bodies: redundant arms do not evade on it",
-    )
-    elbows: ElbowsTable | None = Field(
-        default=None, description="the planned motion of redundant arms, along which they are led"
-    )
-    binding: Annotated[list[BindingTable], Len(0, MAX_LIST)] = Field(
-        default_factory=list, description="what limit binds when; it changes nothing"
-    )
 
 
 class StartTable(Table):
@@ -402,8 +304,15 @@ class CellFile(Table):
     grasp: Annotated[TriangleGrasp | ToolsGrasp | LatchedGrasp, Field(discriminator="kind")] = Field(
         description="placements of the tools on the object"
     )
-    path: Annotated[LineTable | WaypointsTable | HoldTable | TimedTable | SearchTable, Field(discriminator="kind")] = (
-        Field(description="path of the object")
+    path: (
+        Annotated[LineTable | WaypointsTable | HoldTable | TimedTable | SearchTable, Field(discriminator="kind")] | None
+    ) = Field(default=None, description="path of the object; or give phases")
+    phases: Annotated[list[PhaseTable], Len(0, MAX_PHASES)] = Field(
+        default=[],
+        description="a program, in place of a path: in its phases arms let go, travel, work or open the part",
+    )
+    signals_s: dict[Name, Annotated[float, Ge(0.0), Le(1e5)]] = Field(
+        default={}, description="when signals of phases come by themselves, after the start of a run"
     )
     start: StartTable = Field(
         default_factory=StartTable,
@@ -453,6 +362,14 @@ class CellFile(Table):
         for name in names:
             if name not in used:
                 raise problem(f"robots: no arm is of '{name}'; give [[arms]] with of = \"{name}\"")
+        if self.path is None and not self.phases:
+            raise problem("path is missing: the path of the object; or give phases")
+        if self.path is not None and self.phases:
+            raise problem("give path or phases, not both")
+        if self.phases and self.controller.kind != "qp":
+            raise problem("phases: only the controller qp follows a program")
+        if self.phases and self.plant.kind != "kinematic":
+            raise problem("phases: in the physics engine grips stay closed; give the kinematic plant")
         if self.disturbances is not None and self.plant.kind != "physics":
             raise problem("disturbances: only the plant physics simulates them")
         if self.collision is not None and self.collision.avoid and self.controller.kind != "qp":

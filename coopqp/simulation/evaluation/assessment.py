@@ -33,6 +33,10 @@ MARGIN_ROUNDING = 1e-6
 MAX_BLAMED = 3
 
 
+#: A clock this close to the end of a phase belongs to it [s].
+AT_PHASE_END = 1e-9
+
+
 @documented
 @dataclass(frozen=True)
 class Tolerances:
@@ -98,6 +102,7 @@ def evaluate(
     t = Tolerances.of(recording) if tolerances is None else as_options(Tolerances, tolerances, "evaluate: tolerances")
     return (
         _finished(recording),
+        *_phases(recording),
         _positions(cell, recording),
         _rates(cell, recording),
         _held(
@@ -117,6 +122,29 @@ def evaluate(
         *_apart(recording),
         *_carried_load(cell, recording),
     )
+
+
+def _phases(recording: Recording) -> tuple[Finding, ...]:
+    """Finding on the phases of a program: the time in each, and at its gate; empty for other runs."""
+    phases = recording.metadata.get("phases")
+    if not phases:
+        return ()
+    try:
+        rows = [(str(p["name"]), float(p["start_s"]), float(p["end_s"])) for p in phases]
+    except (KeyError, TypeError, ValueError) as error:
+        raise RecordingError(f"'phases' in the recording's metadata is damaged ({error}).") from error
+    steps, clock = np.diff(recording.time), recording.clock[1:]
+    waits = recording.status == Status.WAITING.code
+    own = np.searchsorted([end for _, _, end in rows[:-1]], clock - AT_PHASE_END, side="left")
+    texts = []
+    for i, (name, _, _) in enumerate(rows):
+        there = own == i
+        if not there.any():
+            texts.append(f"{name} was not reached")
+            continue
+        moved, waited = (float(steps[there & part].sum()) for part in (~waits, waits))
+        texts.append(f"{name} {moved:.3g} s" + f", then waiting {waited:.3g} s" * (waited > 0.0))
+    return (Finding("Did all phases end?", bool(recording.finished), "; ".join(texts)),)
 
 
 _STOPPED = (Status.BLOCKED, Status.HOLDING, Status.FAULT)

@@ -287,6 +287,12 @@ def _plain_scene(cell: RobotCell, grasp: Grasp, box: Body, obstacles: Sequence[B
         return None
 
 
+def _object_elsewhere(recording: Recording) -> bool:
+    """Whether the first arm's tool moves on the object along a program: a scene places the object by it."""
+    shift = recording.shift if recording.metadata.get("phases") else None
+    return shift is not None and bool(np.abs(shift[:, 0]).max(initial=0.0) > 0.0)
+
+
 def with_clearance(recording: Recording, scene: CollisionScene | None, *, avoided: bool) -> Recording:
     """The recording with an entry ``clearance`` in its metadata: where bodies came closest.
 
@@ -296,7 +302,7 @@ def with_clearance(recording: Recording, scene: CollisionScene | None, *, avoide
     and ``left_out`` are there. ``notes`` are those of the scene. Entries ``bodies`` and ``carried`` hold what stands
     in the world and what the object is made of.
     """
-    if scene is None:
+    if scene is None or _object_elsewhere(recording):
         return recording
     closeness = Closeness(scene)
     every = -(-len(recording.time) // MOST_JUDGED)

@@ -24,6 +24,7 @@ from coopqp.errors import InvalidInputError
 from coopqp.model.cell import RobotCell
 from coopqp.model.grasp import Grasp
 from coopqp.model.state import CellState
+from coopqp.paths.moving_grasps import grasp_at
 from coopqp.paths.path import ObjectPath
 from coopqp.simulation.evaluation.assessment import Tolerances
 from coopqp.simulation.evaluation.blocks import Block, faults_of, recorded_block, sound_steps
@@ -206,15 +207,27 @@ class Monitor:
             same_path=np.array([a is b for a, b in zip(before, paths, strict=True)]),
             reference=np.array(self._references(paths, clocks, steps) if self._kinematics else []),
             duration=np.array([path.duration for path in paths]),
-            shift=None if shifts is None else np.array(shifts),
+            shift=self._shifts(paths, clocks) if shifts is None else np.array(shifts),
         )
+
+    def _shifts(self, paths: Sequence[ObjectPath], clocks: Sequence[float]) -> Array | None:
+        """By how much tools have moved on the object at clocks of paths (T, N, 6); None where all rest on it."""
+        if all(path.grasps is None for path in paths):
+            return None
+        still = np.zeros((len(self.cell), 6))
+        both = zip(paths, clocks, strict=True)
+        return np.array([still if path.grasps is None else path.grasps.shifts(clock) for path, clock in both])
 
     def _references(
         self, paths: Sequence[ObjectPath], clocks: Sequence[float], steps: Sequence[ControlStep]
     ) -> list[Array]:
         """Where paths ask for the object (4, 4); by hand no path does, and it is where the first arm holds it."""
         return [
-            (path.pose(clock) if step.sense else self.grasp.carried(CellState(self.cell, step.q_next))[0]).homogeneous
+            (
+                path.pose(clock)
+                if step.sense
+                else grasp_at(self.grasp, path, clock).carried(CellState(self.cell, step.q_next))[0]
+            ).homogeneous
             for path, clock, step in zip(paths, clocks, steps, strict=True)
         ]
 

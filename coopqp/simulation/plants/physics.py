@@ -22,7 +22,7 @@ from coopqp.forces.grips import Grip
 from coopqp.forces.load_sharing import LoadShare
 from coopqp.model.cell import RobotCell
 from coopqp.model.grasp import Grasp
-from coopqp.paths.path import TimeLaw
+from coopqp.paths.time_law import TimeLaw
 from coopqp.simulation.plants.disturbances import Disturbances
 from coopqp.simulation.plants.drives import TorqueDrives
 from coopqp.simulation.plants.load_feed_forward import LoadFeedForward

@@ -15,7 +15,8 @@ from coopqp.model.cell import RobotCell
 from coopqp.model.chain import Chain
 from coopqp.model.grasp import Grasp
 from coopqp.model.inverse_kinematics import inverse_kinematics, newton
-from coopqp.paths.path import ObjectPath, TimeLaw, as_time_law
+from coopqp.paths.path import ObjectPath
+from coopqp.paths.time_law import TimeLaw, as_time_law
 from coopqp.simulation.plants.physics_options import Interpolation
 from coopqp.spatial import Array
 

@@ -1,0 +1,10 @@
+from .program import Phase as Phase, PhaseSpan as PhaseSpan, Program as Program
+from .roles import (
+    Holds as Holds,
+    Role as Role,
+    Slides as Slides,
+    Travels as Travels,
+    Turns as Turns,
+    Waits as Waits,
+    Works as Works,
+)

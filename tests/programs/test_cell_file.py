@@ -1,0 +1,122 @@
+"""Programs in a cell file: from phases to a run that reports by phase, and what is refused."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import pytest
+
+from coopqp import load_cell_file
+from coopqp.files import CellFileError
+from coopqp.programs import Program
+from coopqp.simulation import evaluate, read_run
+
+ARM = """
+[[arms]]
+name = "{name}"
+robot = "rx90l"
+geometry = false
+base = {{ xyz_m = [{x}, {y}, 0.0], rpy_deg = [0, 0, {yaw}] }}
+limits.acceleration_rad_per_s2 = 5.0
+"""
+ARMS = "".join(
+    ARM.format(name=name, x=x, y=y, yaw=yaw)
+    for name, x, y, yaw in (("master", 0.0, 0.0, 0), ("slave_1", 3.6, 0.5, 180), ("slave_2", 3.6, -0.5, 180))
+)
+CELL = f"""
+name = "regrasp"
+dt_s = 0.01
+{ARMS}
+[grasp]
+kind = "triangle"
+alpha_m = 0.6
+beta_m = 0.3
+
+[[phases]]
+name = "lift"
+[phases.path]
+kind = "line"
+start = {{ xyz_m = [0.9, 0.0, 0.1], rpy_deg = [0, 0, -90] }}
+displacement = {{ translation_m = [0.0, 0.0, 0.15] }}
+duration_s = 2.0
+
+[[phases]]
+name = "regrasp"
+duration_s = 1.5
+until = "slave_2 closed"
+[phases.arms.slave_2]
+kind = "travels"
+to = {{ xyz_m = [0.2, 1.8, 0.0], rpy_deg = [90, 0, 0] }}
+
+[[phases]]
+name = "open"
+path = {{ kind = "line", displacement = {{ translation_m = [0.0, 0.0, 0.1] }}, duration_s = 2.0 }}
+[phases.arms.slave_1]
+kind = "turns"
+about_m = [0.0, 0.8, 0.0]
+angle_deg = 4.0
+[phases.arms.slave_2]
+kind = "slides"
+axis = [1.0, 0.0, 0.0]
+distance_m = 0.02
+[phases.arms.master]
+kind = "works"
+poses = [{{ rpy_deg = [-90, 180, 0] }}, {{ xyz_m = [0.0, 0.03, 0.0], rpy_deg = [-90, 180, 0] }}]
+durations_s = [1.0]
+
+[signals_s]
+"slave_2 closed" = 4.0
+"""
+
+
+def written(folder: Path, text: str) -> Path:
+    file = folder / "cell.toml"
+    file.write_text(text, encoding="utf-8")
+    return file
+
+
+def test_phases_of_a_cell_file_run_and_are_reported(tmp_path: Path) -> None:
+    task = load_cell_file(written(tmp_path, CELL))
+    program = task.scenario.path
+    assert isinstance(program, Program)
+    assert [span.name for span in program.spans] == ["lift", "regrasp", "open"]
+    assert program.spans[2].holding == ("slave_1", "slave_2")
+    recording = task.run()
+    assert recording.finished
+    assert [phase["name"] for phase in recording.metadata["phases"]] == ["lift", "regrasp", "open"]
+    findings = evaluate(task.scenario.cell, recording, read_run(task.scenario.cell, recording))
+    (phases,) = (finding for finding in findings if finding.question == "Did all phases end?")
+    assert phases.holds
+    assert re.search(r"lift 2\S* s; regrasp 1\.5\d* s, then waiting 0\.\d+ s; open 2\S* s", phases.answer), (
+        phases.answer
+    )
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "match"),
+    [
+        ('kind = "travels"', 'kind = "travel"', "there is no 'travel'; did you mean 'travels'"),
+        ('[phases.arms.slave_2]\nkind = "travels"', '[phases.arms.left]\nkind = "travels"', "left"),
+        ("angle_deg = 4.0", "", "angle"),
+        ("duration_s = 1.5", "", "regrasp.*how long"),
+        ('"slave_2 closed" = 4.0', '"closed" = 4.0', "closed"),
+        ('name = "open"', 'name = "lift"', "two phases are named 'lift'"),
+        ("xyz_m = [0.0, 0.03, 0.0], rpy_deg", "xyz_m = [0.0, 0.03], rpy_deg", "phases"),
+        ("start = { xyz_m = [0.9, 0.0, 0.1], rpy_deg = [0, 0, -90] }", "", "first path of a program needs start"),
+        ("[grasp]", '[controller]\nkind = "independent"\n[grasp]', "only the controller qp"),
+        ("[grasp]", '[plant]\nkind = "physics"\n[grasp]', "grips stay closed"),
+    ],
+)
+def test_a_bad_phase_is_refused_by_name(tmp_path: Path, old: str, new: str, match: str) -> None:
+    assert old in CELL
+    with pytest.raises(CellFileError, match=match):
+        load_cell_file(written(tmp_path, CELL.replace(old, new, 1)))
+
+
+def test_a_file_has_a_path_or_phases(tmp_path: Path) -> None:
+    path = '[path]\nkind = "hold"\npose = { xyz_m = [0.9, 0.0, 0.1] }\nduration_s = 1.0\n'
+    with pytest.raises(CellFileError, match="path or phases, not both"):
+        load_cell_file(written(tmp_path, CELL + path))
+    with pytest.raises(CellFileError, match="path is missing"):
+        load_cell_file(written(tmp_path, CELL.partition("[[phases]]")[0]))
