@@ -14,6 +14,7 @@ from coopqp.scenarios import robot_data_path, robot_path
 
 CELL = """
 name = "two"
+dt_s = 0.02
 [[robots]]
 name = "body"
 urdf = "{urdf}"
