@@ -137,7 +137,7 @@ def promises(quick: bool) -> Iterator[Promise]:
         yield from _robots(folder, TORSOS[:3] if quick else TORSOS)
         yield from _singular(folder)
         yield from _lift()
-        yield from _random(folder, 6 if quick else 40)
+        yield from _random(folder, 6 if quick else 24)
 
 
 def _robots(folder: Path, torsos: tuple[tuple[tuple[str, str], ...], ...]) -> Iterator[Promise]:

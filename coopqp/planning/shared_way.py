@@ -35,7 +35,7 @@ _STEP, _STEPS = 0.8, 12
 _WANTED = (0.1, 0.02)
 #: Peak of a quintic time law's speed over its mean.
 _PEAK = 1.875
-#: Steps that lead a redundant arm away from its limits at the start, and in a table where it is close to one [rad or m].
+#: Steps that lead a redundant arm away from its limits: at the start, and in a table where it is close to one.
 _RELAXED, _LEADS, _CLOSE = (0.3, 0.2, 0.1, 0.05), (0.1, 0.05), 0.35
 
 
