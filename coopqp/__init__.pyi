@@ -50,6 +50,7 @@ from .paths.timed import TimedPath as TimedPath
 from .planning.check import check_path as check_path
 from .planning.planner import plan as plan
 from .planning.route.finding import find_path as find_path
+from .planning.route.replanner import Replanner as Replanner
 from .planning.starts import find_start as find_start
 from .programs.program import Phase as Phase, Program as Program
 from .simulation.recording.recording import Recording as Recording

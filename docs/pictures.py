@@ -36,6 +36,7 @@ PROGRAMS: Mapping[str, tuple[str, ...]] = {
     "coopqp new new_cell --arm panda --arm xarm7 --quiet --out {out}": ("docs/howto/new_cell.png",),
     "python docs/movie.py --out {out}": ("docs/images/two_lifts.gif",),
     "python docs/screenshots.py viewer --out {out}": ("docs/images/viewer.png",),
+    "python docs/screenshots.py jog --out {out}": ("docs/images/jog.gif",),
     "python docs/examples/01_paper_lift.py --out {out}": ("docs/tutorials/paper_drift.png",),
     "python docs/examples/02_your_own_arms.py --out {out}": ("docs/tutorials/your_own_arms.png",),
     "python docs/examples/03_redundant_arms.py --out {out}": ("docs/tutorials/elbows.png",),

@@ -92,8 +92,8 @@ class IndependentQPController:
     ) -> None:
         require(grasp, Grasp, "IndependentQPController: grasp", "Give a Grasp of the placements.")
         grasp.check_arms(cell)
-        cell.refuse_shared("IndependentQPController")
         refuse_motion(path, "IndependentQPController: path", "Give it to a QPController.")
+        cell.refuse_shared("IndependentQPController")
         self._lock = Lock()
         self.cell, self.grasp, self.path = cell, grasp, path
         self.dt = as_scalar(dt, "IndependentQPController: dt")

@@ -96,8 +96,8 @@ class PseudoInverseController:
     ) -> None:
         require(grasp, Grasp, "PseudoInverseController: grasp", "Give a Grasp of the placements.")
         grasp.check_arms(cell)
-        cell.refuse_shared("PseudoInverseController")
         refuse_motion(path, "PseudoInverseController: path", "Give it to a QPController.")
+        cell.refuse_shared("PseudoInverseController")
         self._lock = Lock()
         self.cell, self.grasp, self.path = cell, grasp, path
         self.dt = as_scalar(dt, "PseudoInverseController: dt")

@@ -208,6 +208,11 @@ class CollisionScene:
         margins = {pair: margin + clearance for pair, margin in self.margins.items()}
         return replace(self, margin=self.margin + clearance, margins=margins)
 
+    def standing(self, places: Mapping[str, pin.SE3]) -> CollisionScene:
+        """The same bodies, of which those that move stand at places in the world, or where they are by default."""
+        stand = [replace(body, placement=places.get(body.name, body.placement)) for body in self.moving]
+        return replace(self, obstacles=(*self.obstacles, *stand), moving=())
+
     def of_cell(self, cell: RobotCell, grasp: Grasp) -> CollisionScene:
         """The same bodies about other arms or another grasp."""
         return replace(self, cell=cell, grasp=grasp)

@@ -223,7 +223,7 @@ def geometry_of(path: ObjectPath | PathGeometry, where: str) -> PathGeometry:
     if isinstance(path, PathGeometry):
         return path
     require(path, ObjectPath, f"{where}: path", "Give an ObjectPath.")
-    refuse_motion(path, where, "Plan the path of each phase, and give the program planned paths.")
+    refuse_motion(path, where, "Time a program with coopqp.planning.time_program.")
     geometry = None
     if path.known_ahead and np.isfinite(path.duration):
         geometry = path.geometry() if is_known(path) else path.geometry() or sampled_geometry(path)

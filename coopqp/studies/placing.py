@@ -230,8 +230,8 @@ class Placer:
         scene: CollisionScene | None = None,
     ) -> None:
         grasp.check_arms(cell)
-        cell.refuse_shared("Placer")
         refuse_motion(path, "Placer: path", "Place the bases for each phase by itself.")
+        cell.refuse_shared("Placer")
         self.cell, self.grasp, self.goals = cell, grasp, goals or Goals()
         self.samples = sample_path(path, grasp)
         if len(self.samples.clocks) < 2:

@@ -831,6 +831,11 @@ def test_a_robot_with_two_arms(tmp_path: Path) -> None:
         ),
         ("limits.lift", "limits.lifts", "the model has no joint 'lifts'"),
         (
+            'of = "tower"\n',
+            'of = "tower"\nstiffness_nm_per_rad = 1e4\n',
+            "share 'lift', and joints that arms share are not known",
+        ),
+        (
             'robot = "lift2"',
             'robot = "lift2"\nurdf = "a.urdf"',
             "robots[0]: give one of robot, urdf, not robot and urdf",
@@ -840,7 +845,7 @@ def test_a_robot_with_two_arms(tmp_path: Path) -> None:
 def test_wrong_robots_are_named(old: str, new: str, message: str, tmp_path: Path) -> None:
     file = tmp_path / "cell.toml"
     assert old in ROBOT
-    file.write_text(ROBOT.replace(old, new, 1))
+    file.write_text(ROBOT.replace(old, new))
     with pytest.raises(CellFileError) as caught:
         load_cell_file(file)
     assert message in str(caught.value)

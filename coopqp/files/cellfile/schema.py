@@ -5,7 +5,7 @@ Prismatic joints use metres (m/s, m/s²) under the keys of either angle unit.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal, Union
 
 from annotated_types import Ge, Le, Len
 from pydantic import AfterValidator, Field, model_validator
@@ -13,7 +13,7 @@ from pydantic import AfterValidator, Field, model_validator
 from coopqp.baselines.independent import IndependentQPOptions
 from coopqp.baselines.pseudo_inverse import PseudoInverseOptions
 from coopqp.control.options import QPOptions
-from coopqp.drivers.sim import SimOptions
+from coopqp.drivers.kinds import DRIVER_KINDS
 from coopqp.errors import shown
 from coopqp.files.cellfile.basic import (
     MAX_ARMS,
@@ -142,12 +142,39 @@ class ArmTable(Table):
         return self
 
 
+#: Lowest and highest position of a free direction.
+Ends = Annotated[list[Angle], Len(2, 2)]
+
+
+class FreeTable(Table):
+    """A direction in which the grasp of an arm gives way: a passive joint behind its tool."""
+
+    arm: Name = Field(description="name of the arm")
+    axis: Literal["x", "y", "z", "rx", "ry", "rz"] = Field(
+        description="slide along, or turn about, an axis of its tool"
+    )
+    range_deg: Ends | None = Field(default=None, description="lowest and highest angle")
+    range_rad: Ends | None = Field(default=None, description="the same in radians")
+    range_m: Ends | None = Field(default=None, description="of a slide")
+
+    @model_validator(mode="after")
+    def _one_unit(self) -> FreeTable:
+        given = exactly_one(self, "range_deg", "range_rad", "range_m")
+        if (given == "range_m") is self.axis.startswith("r"):
+            raise problem(f"axis '{self.axis}' takes {'range_deg or range_rad' if given == 'range_m' else 'range_m'}")
+        return self
+
+
+Frees = Annotated[list[FreeTable], Len(0, 6 * MAX_ARMS)]
+
+
 class TriangleGrasp(Table):
     """The paper's grasp: tools at A (0, 0), B (−β, 3α), C (β, 3α); the object frame is the frame of A."""
 
     kind: Literal["triangle"]
     alpha_m: Metres = Field(description="α: a third of the triangle's height")
     beta_m: Metres = Field(description="β: half its base")
+    free: Frees = Field(default=[], description="directions in which it gives way; three turns make a ball")
 
 
 class ToolsGrasp(Table):
@@ -155,12 +182,14 @@ class ToolsGrasp(Table):
 
     kind: Literal["tools"]
     tools: dict[Name, PlacementTable] = Field(description="placement of each arm's tool in the object frame, by arm")
+    free: Frees = Field(default=[], description="directions in which it gives way; three turns make a ball")
 
 
 class LatchedGrasp(Table):
     """The grasp follows from the tools at the start and the first pose of the path."""
 
     kind: Literal["latched"]
+    free: Frees = Field(default=[], description="directions in which it gives way; three turns make a ball")
 
 
 class StartTable(Table):
@@ -255,7 +284,10 @@ PhysicsTable = table_of(
     first={"kind": (Literal["physics"], ...)},
 )
 
-SimTable = table_of(SimOptions, "SimTable", first={"kind": (Literal["sim"], ...)})
+_DRIVER_TABLES = tuple(
+    table_of(kind.options, f"{name.capitalize()}Table", first={"kind": (Literal[name], ...)})
+    for name, kind in DRIVER_KINDS.items()
+)
 
 #: Largest accepted errors: the run fails beyond them.
 _VerdictTable = table_of(Tolerances, "VerdictTable")
@@ -267,7 +299,7 @@ if TYPE_CHECKING:
     DriverTable = Any
 else:
     VerdictTable = _VerdictTable
-    DriverTable = SimTable
+    DriverTable = Annotated[Union[_DRIVER_TABLES], Field(discriminator="kind")]  # noqa: UP007  # of a tuple
     ControllerTable = Annotated[QPTable | PseudoInverseTable | IndependentTable, Field(discriminator="kind")]
     PlantTable = Annotated[KinematicTable | PhysicsTable, Field(discriminator="kind")]
 
@@ -353,6 +385,14 @@ class CellFile(Table):
     @model_validator(mode="after")
     def _fits(self) -> CellFile:
         at_most_one(self, "dt_s", "steps")
+        if self.path is None and not self.phases:
+            raise problem("path is missing: the path of the object; or give phases")
+        if self.path is not None and self.phases:
+            raise problem("give path or phases, not both")
+        if self.phases and self.controller.kind != "qp":
+            raise problem("phases: only the controller qp follows a program")
+        if self.phases and self.plant.kind != "kinematic":
+            raise problem("phases: in the physics engine grips stay closed; give the kinematic plant")
         names, used = [robot.name for robot in self.robots], {arm.of for arm in self.arms}
         if len(set(names)) < len(names):
             raise problem("robots: two have one name")
@@ -362,14 +402,6 @@ class CellFile(Table):
         for name in names:
             if name not in used:
                 raise problem(f"robots: no arm is of '{name}'; give [[arms]] with of = \"{name}\"")
-        if self.path is None and not self.phases:
-            raise problem("path is missing: the path of the object; or give phases")
-        if self.path is not None and self.phases:
-            raise problem("give path or phases, not both")
-        if self.phases and self.controller.kind != "qp":
-            raise problem("phases: only the controller qp follows a program")
-        if self.phases and self.plant.kind != "kinematic":
-            raise problem("phases: in the physics engine grips stay closed; give the kinematic plant")
         if self.disturbances is not None and self.plant.kind != "physics":
             raise problem("disturbances: only the plant physics simulates them")
         if self.collision is not None and self.collision.avoid and self.controller.kind != "qp":
