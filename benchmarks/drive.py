@@ -19,10 +19,10 @@ from common import Record
 KEYS = ("case", "value", "bound", "unit", "holds")
 #: Rows that are not here: they need another environment, minutes, or what is not built.
 LEFT_OUT = (
-    "three arms over DDS to rclpy: command to echo; ten minutes; an extra alone (no driver ros2 yet)",
+    "three arms over DDS to rclpy: command to echo; ten minutes; an extra alone (they need another environment)",
     "apart at 0.19 m/s in real time, controller killed in position mode (they judge the machine's timing)",
     "late by half a period with recorder and viewer attached (no ring in shared memory yet)",
-    "ur_rtde and its stub; two Frankas in franky-sim (no drivers ur and franka yet)",
+    "ur_rtde and its stub (tests/drivers/test_ur.py); two Frankas in franky-sim (minutes)",
 )
 
 

@@ -33,7 +33,7 @@ from .errors import CoopqpError as CoopqpError, InvalidInputError as InvalidInpu
 from .files.cellfile import load_cell_file as load_cell_file
 from .forces.force_controller import ForceController as ForceController
 from .forces.force_options import ForceOptions as ForceOptions
-from .model.cell import Arm as Arm, JointLimits as JointLimits, RobotCell as RobotCell
+from .model.cell import Arm as Arm, JointLimits as JointLimits, Robot as Robot, RobotCell as RobotCell
 from .model.common_error import CommonError as CommonError
 from .model.grasp import Grasp as Grasp
 from .model.inverse_kinematics import inverse_kinematics as inverse_kinematics

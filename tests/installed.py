@@ -35,6 +35,8 @@ COMMANDS: dict[str, tuple[list[str], set[str]]] = {
     "a bag": (["export", "run.npz", "--bag", "bag"], {"bags"}),
     "a bag of a run": (["export", "paper_lift", "--bag", "other_bag"], {"bags"}),
 }
+#: The newest Python that what an extra brings has wheels for.
+WHEELS_UP_TO = {"franka": (3, 12), "ur": (3, 12), "ros2": (3, 13)}
 #: Name: program, and the extras that it needs.
 PROGRAMS: dict[str, tuple[str, set[str]]] = {
     "an arm of example-robot-data": (
@@ -46,6 +48,12 @@ PROGRAMS: dict[str, tuple[str, set[str]]] = {
         "from coopqp.simulation import PhysicsPlant; from coopqp.scenarios import paper_lift; l = paper_lift(); "
         "PhysicsPlant(l.cell, l.grasp, object_size=l.object_size, object_mass=l.object_mass).reset(l.q_start)",
         {"mujoco"},
+    ),
+    "the driver ur": ("from coopqp.drivers import UrDriver; UrDriver('abcdef', {'address': 'nowhere'})", {"ur"}),
+    "the driver ros2": ("from coopqp.drivers import Ros2Driver; Ros2Driver('a', {'command_topic': '/a'})", {"ros2"}),
+    "the driver franka": (
+        "from coopqp.drivers import FrankaDriver; FrankaDriver('abcdefg', {'address': 'nowhere'})",
+        {"franka"},
     ),
     "the public names": (
         "import coopqp; [getattr(coopqp, name) for name in coopqp.__all__]; coopqp.simulation.Disturbances",
@@ -80,6 +88,9 @@ def main() -> int:
     given |= {"studies"}  # OSQP brings joblib
     if (sys.platform, platform.machine()) == ("linux", "x86_64"):
         given |= {"planning"}  # toppra has wheels there
+    for extra, newest in WHEELS_UP_TO.items():
+        if sys.version_info[:2] > newest:
+            given -= {extra}
     assert given <= extras, (given, extras)
     warnings.simplefilter("ignore")
     import coopqp

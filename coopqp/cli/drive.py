@@ -7,7 +7,7 @@ import contextlib
 import math
 import signal
 import sys
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from coopqp.drivers.driver import RobotDriver
     from coopqp.drivers.loop import ControlLoop
     from coopqp.files.cellfile.build import CellRun
+    from coopqp.visualization.jog.link import PageLink
 
 _OK, _REFUSED, _FAILED, _INTERRUPTED = 0, 3, 4, 130
 #: How long states are read before a dry run [s].
@@ -42,7 +43,7 @@ def add_drive(commands: Any) -> None:
         "every driver at once.",
     )
     parser.add_argument("cell", type=Path, metavar="CELL", help="cell file (.toml or .yaml)")
-    parser.add_argument("--driver", choices=("sim",), help="this driver for every arm, in place of the file's")
+    parser.add_argument("--driver", choices=("sim", "engine"), help="this for every arm, in place of the file's")
     parser.add_argument(
         "--enable",
         nargs="?",
@@ -74,20 +75,29 @@ def run_drive(arguments: argparse.Namespace) -> int:
     if run.controller_kind != "qp":
         raise InvalidInputError(f"the controller is '{run.controller_kind}'", "drive", 'Give kind = "qp".')
     if arguments.enable is not None:
-        _ask(run.scenario.name, arguments.enable)
-    drivers = run.drivers(arguments.driver)
+        return drive_enabled(run, arguments, speed)
+    with _drivers(run, arguments.driver) as drivers:
+        return _dry_run(run, drivers, speed)
+
+
+@contextlib.contextmanager
+def _drivers(run: CellRun, kind: str | None) -> Iterator[dict[str, RobotDriver]]:
+    drivers = run.drivers(kind)
     try:
-        if arguments.enable is None:
-            return _dry_run(run, drivers, speed)
-        return _drive(run, drivers, speed, arguments)
+        yield drivers
     finally:
-        for driver in drivers.values():
-            close = getattr(driver, "close", None)
-            if close is not None:
-                close()
+        close_drivers(drivers)
 
 
-def _ask(name: str, given: str) -> None:
+def close_drivers(drivers: dict[str, RobotDriver]) -> None:
+    """Close the drivers that can be closed."""
+    for driver in drivers.values():
+        close = getattr(driver, "close", None)
+        if close is not None:
+            close()
+
+
+def ask_for_name(name: str, given: str) -> None:
     """The cell's name has to be given, so that no other cell is moved."""
     if not given:
         if not sys.stdin.isatty():
@@ -187,7 +197,27 @@ def _in_simulation(run: CellRun, loop: ControlLoop, speed: float) -> str:
 # -- with --enable -----------------------------------------------------------------------------------------------------
 
 
-def _drive(run: CellRun, drivers: dict[str, RobotDriver], speed: float, arguments: argparse.Namespace) -> int:
+def drive_enabled(
+    run: CellRun,
+    arguments: argparse.Namespace,
+    speed: float,
+    *,
+    lead: Callable[[ControlLoop], PageLink] | None = None,
+) -> int:
+    """Move the robots of a cell, after asking for its name; ``lead`` opens a page that leads the loop."""
+    ask_for_name(run.scenario.name, arguments.enable)
+    with _drivers(run, arguments.driver) as drivers:
+        return _drive(run, drivers, speed, arguments, lead)
+
+
+def _drive(
+    run: CellRun,
+    drivers: dict[str, RobotDriver],
+    speed: float,
+    arguments: argparse.Namespace,
+    lead: Callable[[ControlLoop], PageLink] | None,
+) -> int:
+    from coopqp.drivers.led_loop import ShownRecorder
     from coopqp.drivers.loop import ControlLoop
     from coopqp.drivers.options import LoopOptions
     from coopqp.drivers.recorder import MemoryRecorder
@@ -195,13 +225,19 @@ def _drive(run: CellRun, drivers: dict[str, RobotDriver], speed: float, argument
     controller, slower = _bounded(run)
     controller.set_override(speed)
     recorder = None if arguments.record is None else MemoryRecorder(controller)
-    loop = ControlLoop(controller, drivers, LoopOptions(ramp_time=2.0), recorder=recorder)
+    shown = ShownRecorder(recorder)
+    loop = ControlLoop(controller, drivers, LoopOptions(ramp_time=2.0), recorder=recorder if lead is None else shown)
     refused = loop.refused()
     if refused:
         for line in refused:
             say("refused:", line)
         return _REFUSED
-    with _interrupts(loop) as interrupts:
+    with contextlib.ExitStack() as page:
+        if lead is not None:
+            link = lead(loop)
+            page.callback(link.close)
+            shown.show = link.observe
+        seen = page.enter_context(interrupts(loop))
         if not arguments.quiet:
             print(slower, flush=True)
         report = loop.run()
@@ -210,7 +246,7 @@ def _drive(run: CellRun, drivers: dict[str, RobotDriver], speed: float, argument
     if recorder is not None:
         recorder.recording({"scenario": run.scenario.name}).save(arguments.record)
         print_written([arguments.record], quiet=arguments.quiet)
-    if interrupts:
+    if seen:
         return _INTERRUPTED
     if not report.finished:
         say("failed:", report.reason)
@@ -241,7 +277,7 @@ def _bounded(run: CellRun) -> tuple[Any, str]:
 
 
 @contextlib.contextmanager
-def _interrupts(loop: ControlLoop) -> Iterator[list[int]]:
+def interrupts(loop: ControlLoop) -> Iterator[list[int]]:
     """Ctrl-C brakes all arms together; a second one stops every driver at once."""
     seen: list[int] = []
 

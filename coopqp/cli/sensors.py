@@ -6,11 +6,13 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from coopqp.cli.drive import ask_for_name, close_drivers, interrupts
 from coopqp.cli.terminal import add_command, print_table, print_written, reporter
-from coopqp.errors import printable
+from coopqp.errors import InvalidInputError, printable
 from coopqp.output import check_new, json_bytes, write_files
 
 if TYPE_CHECKING:
+    from coopqp.files.cellfile.build import CellRun
     from coopqp.files.cellfile.schema import CellFile
     from coopqp.forces.wrist_sensor import WristSensor
     from coopqp.simulation.commissioning import Commissioning
@@ -33,6 +35,14 @@ def add_sensors(commands: Any) -> None:
         "corrected, and nothing is written.",
     )
     parser.add_argument("cell", type=Path, metavar="CELL", help="cell file (.toml or .yaml)")
+    parser.add_argument(
+        "--driver",
+        choices=("file", "engine"),
+        help="press by drivers, as coopqp drive: the file's, or robots in the engine in real time; needs --enable",
+    )
+    parser.add_argument(
+        "--enable", nargs="?", const="", metavar="NAME", help="move the robots; NAME is the cell's, or is asked for"
+    )
     parser.add_argument("--out", type=Path, metavar="CELL2", help="the cell file with the sensors (.toml)")
     parser.add_argument("--json", type=Path, metavar="FILE", help="also write the figures as JSON")
 
@@ -45,10 +55,17 @@ def run_sensors(arguments: argparse.Namespace) -> int:
     if arguments.out is not None and arguments.out.suffix != ".toml":
         raise CellFileError(f"--out {arguments.out}: a cell file is written in TOML. Give a name that ends in .toml.")
     check_new(arguments.out, arguments.json, force=arguments.force)
+    if (arguments.driver is None) != (arguments.enable is None):
+        raise InvalidInputError("--driver and --enable go together", "sensors", "Give both, or neither.")
     run = load_cell_file(arguments.cell)
+    if arguments.enable is not None:
+        ask_for_name(run.scenario.name, arguments.enable)
     with reporter(quiet=arguments.quiet) as report:
         report.note("pressing the arms against each other")
-        found = commission_sensors(run.scenario, run.physics_plant(), known=run.sensors, stiffness=run.stiffness)
+        if arguments.driver is None:
+            found = commission_sensors(run.scenario, run.physics_plant(), known=run.sensors, stiffness=run.stiffness)
+        else:
+            found = _by_drivers(run, None if arguments.driver == "file" else arguments.driver)
         contents = {}
         if arguments.out is not None and found.sensors is not None:
             text = _text(run.settings, found.sensors, arguments.cell.parent, arguments.out.parent)
@@ -60,6 +77,20 @@ def run_sensors(arguments: argparse.Namespace) -> int:
         _say(found, wanted=arguments.out is not None)
         print_written(files)
     return _OK if found.judgement is not None and found.judgement.fine else _WRONG
+
+
+def _by_drivers(run: CellRun, kind: str | None) -> Commissioning:
+    """Press by the drivers of the cell; Ctrl-C brakes all arms together."""
+    from coopqp.drivers.commissioning import commission_sensors_by_drivers
+
+    drivers = run.drivers(kind)
+    try:
+        return commission_sensors_by_drivers(
+            run.scenario, drivers, known=run.sensors, stiffness=run.stiffness, options={"ramp_time": 2.0},
+            begun=interrupts,
+        )  # fmt: skip
+    finally:
+        close_drivers(drivers)
 
 
 def _text(settings: CellFile, sensors: dict[str, WristSensor], folder: Path, into: Path) -> str:

@@ -18,6 +18,7 @@ from coopqp.model.grasp import Grasp
 from coopqp.model.limits import BindingLimit
 from coopqp.model.shapes import NearPair
 from coopqp.model.state import CellState
+from coopqp.paths.moving_grasps import grasp_at
 from coopqp.paths.path import ObjectPath
 from coopqp.shown import Shown
 from coopqp.spatial import Array
@@ -279,13 +280,13 @@ class ControlStep(Shown):
     @property
     def arm_increments(self) -> Array:
         """Δ^k of Eq. (16) as commanded: displacement of each tool in its own frame during the step (N, 6) [m, rad]."""
-        v = [self.velocity[s] for s in self.cell.v_slices]
+        v = [self.velocity[own] for own in self.cell.columns]
         return np.array([self.state.jacobian(k) @ v[k] * self.dt for k in range(len(self.cell))])
 
     @property
     def relative_errors(self) -> Array:
         """Distance [mm] and angle [deg] between the object poses of each pair of arms (0,1), (0,2), … (1,2) …"""
-        e = self.grasp.relative_errors(self.state)
+        e = grasp_at(self.grasp, self.path, self.clock).relative_errors(self.state)
         return np.column_stack([1e3 * np.linalg.norm(e[:, :3], axis=1), np.rad2deg(np.linalg.norm(e[:, 3:], axis=1))])
 
     @property

@@ -1,3 +1,4 @@
+from .commissioning import commission_sensors_by_drivers as commission_sensors_by_drivers
 from .driver import (
     Bodies as Bodies,
     Command as Command,
@@ -8,10 +9,14 @@ from .driver import (
     RobotState as RobotState,
 )
 from .engine import EngineCell as EngineCell, EngineRobot as EngineRobot
+from .franka import FrankaDriver as FrankaDriver, FrankaOptions as FrankaOptions
 from .loop import ControlLoop as ControlLoop
 from .options import LoopOptions as LoopOptions
+from .real_time import RealTimeRun as RealTimeRun
 from .recorder import MemoryRecorder as MemoryRecorder
 from .report import LoopReport as LoopReport
+from .ros2 import Ros2Driver as Ros2Driver, Ros2Options as Ros2Options
 from .sim import SimDriver as SimDriver, SimOptions as SimOptions
 from .simulated import ServoModel as ServoModel, SimulatedRobot as SimulatedRobot
 from .timing import LoopTime as LoopTime, ManualTime as ManualTime, MonotonicTime as MonotonicTime
+from .ur import UrDriver as UrDriver, UrOptions as UrOptions

@@ -8,16 +8,17 @@ from __future__ import annotations
 import math
 import threading
 import warnings
-from collections import Counter, deque
-from collections.abc import Callable, Mapping
+from collections import Counter
+from collections.abc import Mapping
 from typing import Any, final
 
 import numpy as np
 import pinocchio as pin
 
-from coopqp.checks import as_options, as_scalar
+from coopqp.checks import as_options
 from coopqp.collision.clearance import Clearance
 from coopqp.control.interface import ControlStep, Status
+from coopqp.drivers.calls import LoopCalls
 from coopqp.drivers.driver import STANDS, Bodies, Command, Condition, DriverError, LoopRecorder, RobotDriver
 from coopqp.drivers.motion import SharedMotion
 from coopqp.drivers.options import LoopOptions
@@ -41,10 +42,10 @@ _LOOK = 10
 
 
 @final
-class ControlLoop:
+class ControlLoop(LoopCalls):
     """Drives robots with a controller. Each run begins with a reset of the controller where the robots stand.
 
-    The calls :meth:`pause`, :meth:`resume`, :meth:`set_override`, :meth:`stop` and :meth:`beat` may come from any
+    The calls of an operator (pause, resume, override, stop, reverse, jog and more) and :meth:`beat` may come from any
     thread; they take effect between two periods. It is no safety function.
 
     Args:
@@ -75,6 +76,7 @@ class ControlLoop:
         recorder: LoopRecorder | None = None,
         time: LoopTime | None = None,
     ) -> None:
+        super().__init__()
         for method in ("reset", "step", "pause", "resume", "set_override"):
             if not callable(getattr(controller, method, None)):
                 raise InvalidInputError(
@@ -94,7 +96,6 @@ class ControlLoop:
                 "bodies without a Clearance", "ControlLoop: bodies", "Give the controller one with moving bodies."
             )
         self._time = MonotonicTime() if time is None else time
-        self._calls: deque[Callable[[], None]] = deque()
         self.watches = tuple(RobotWatch(robot, self.options.patience) for robot in self.robots)
         self._wrenches = bool(getattr(controller, "needs_wrenches", False))
         self._lock = threading.Lock()
@@ -102,30 +103,14 @@ class ControlLoop:
         self._ending = ""
         self._failed = False
         self._motion: SharedMotion | None = None
-        self._now = -math.inf
+        self._standing = False
 
     # -- operators' calls ------------------------------------------------------------------------------------------
 
-    def pause(self) -> None:
-        """Bring the object to rest on its path, until :meth:`resume`."""
-        self._calls.append(self.controller.pause)
-
-    def resume(self) -> None:
-        """Go on after :meth:`pause`, and by hand after a stop, where no robot says any more that it stands."""
-        self._calls.append(self._go_on)
-
-    def set_override(self, share: float) -> None:
-        """The largest rate of the object, 0 to 1.
-
-        Raises:
-            InvalidInputError: not a number from 0 to 1.
-        """
-        share = as_scalar(share, "ControlLoop.set_override: share", open_low=False, high=1.0)
-        self._calls.append(lambda: self.controller.set_override(share))
-
-    def stop(self, reason: str = "stopped by its operator") -> None:
-        """Brake all arms together, and end the run at rest."""
-        self._calls.append(lambda: self._end(reason, failed=True))
+    @property
+    def stands(self) -> bool:
+        """Whether the arms stand after a stop of one of them, and wait for :meth:`resume`."""
+        return self._standing
 
     def beat(self) -> None:
         """Say that the operator is there: the heartbeat of ``LoopOptions.heartbeat``."""
@@ -192,6 +177,7 @@ class ControlLoop:
             raise RuntimeError("this loop runs")
         try:
             self._ending, self._failed = "", False
+            self.refused_calls.clear()
             o = self.options
             self._process = prepare_process(realtime=o.realtime, lock_memory=o.lock_memory, core=o.core)
             self._start()
@@ -215,6 +201,7 @@ class ControlLoop:
         self._looks: list[Array] = []
         self._looked = 0
         self._force, self._slowest, self._standing = math.nan, 1.0, False
+        self._moved = self._rested = False
         self._now = self._ramp = began = time.now()
         self._ramp_time = self.options.ramp_time
         self._beaten = max(self._beaten, began)
@@ -237,14 +224,11 @@ class ControlLoop:
         ended = now if math.isnan(self._arrived) else self._arrived
         return self._report(ended - began, periods, missed, np.array(late))
 
-    def _drain(self) -> None:
-        while self._calls:
-            self._calls.popleft()()
-
     def _period(self, now: float, deadline: float) -> None:
         motion = self._motion
         assert motion is not None
         self._drain()
+        self._end_silence()
         if self.options.heartbeat is not None and now - self._beaten > self.options.heartbeat:
             self._end("the operator's heartbeat stopped", failed=True)
         said = self._look(now)
@@ -343,9 +327,17 @@ class ControlLoop:
         self._step = step
         self._statuses[step.status.value] += 1
         positions = cell.positions(step.q_next)
-        motion.way.append(x + turned(cell, positions - self._last_q), step.clock_next)
+        moves = turned(cell, positions - self._last_q)
+        resting = bool(np.abs(moves).max() < _SLOW_END * self.controller.dt)
+        if self._rested and not resting:  # in the middle of the path
+            self._ramp, self._ramp_time = self._now, self.options.resume_time
+        self._moved = self._moved or not resting
+        self._rested = self._moved and resting
+        motion.way.append(x + moves, step.clock_next)
         self._last_q = positions
-        if step.finished and not math.isfinite(self._finish):
+        if not step.finished:  # an operator may lead the object away from the end again
+            self._finish, self._arrived = math.inf, math.nan
+        elif not math.isfinite(self._finish):
             self._finish = motion.way.head
 
     def _felt(self) -> Array:
@@ -393,6 +385,11 @@ class ControlLoop:
             self._end("the object is at the end of its path", failed=False)
         return False
 
+    @property
+    def _tools_move(self) -> bool:
+        """Whether tools move on the object along the path: the looks do not say where they were."""
+        return bool(self.controller.path.grasps is not None and self.controller.path.grasps.moves)
+
     def _report(self, time: float, periods: int, missed: int, late: Array) -> LoopReport:
         motion = self._motion
         assert motion is not None
@@ -415,8 +412,9 @@ class ControlLoop:
             guarded=motion.play_out.guarded,
             velocity=motion.velocity_share,
             acceleration=motion.acceleration_share,
-            apart=largest_apart(self.cell, self.controller.grasp, self._looks),
+            apart=largest_apart(self.cell, self.controller.grasp, [] if self._tools_move else self._looks),
             largest_force=self._force,
             statuses=dict(self._statuses),
             process=self._process,
+            refused_calls=tuple(self.refused_calls),
         )

@@ -38,6 +38,7 @@ class LoopReport:
         largest_force: largest force at a grasp that was measured [N]; NaN without sensors.
         statuses: number of controller's steps with each status.
         process: what was asked of the operating system, and what came of it.
+        refused_calls: operators' calls that the controller refused, a sentence each.
     """
 
     finished: bool
@@ -61,6 +62,7 @@ class LoopReport:
     largest_force: float
     statuses: dict[str, int] = field(default_factory=dict)
     process: dict[str, str] = field(default_factory=dict)
+    refused_calls: tuple[str, ...] = ()
 
     def lines(self) -> list[str]:
         """The run in a few lines."""
@@ -81,6 +83,7 @@ class LoopReport:
         lost = sum(self.lost.values())
         text.append(f"{self.commands} commands to each robot; {lost} states lost or overtaken")
         text.append("lags " + ", ".join(f"{name} {1e3 * lag:.0f} ms" for name, lag in self.lags.items()))
+        text += [f"refused {call}" for call in self.refused_calls]
         text.append("statuses: " + ", ".join(f"{name} {count}" for name, count in self.statuses.items()))
         return text
 

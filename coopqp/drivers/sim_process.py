@@ -16,7 +16,7 @@ from typing import Any
 
 import numpy as np
 
-from coopqp.drivers.driver import Condition
+from coopqp.drivers.driver import Condition, RobotState
 from coopqp.drivers.packets import COMMAND, ORDER, pack_state, unpack_command, unpack_order
 from coopqp.drivers.simulated import ServoModel
 
@@ -79,7 +79,8 @@ def serve(settings: dict[str, Any]) -> None:
         if now >= next_state:
             target = servo.target if settings["tells_target"] else None
             stamp = servo.now + settings["clock_offset"]
-            carry(pack_state(stamp, servo.condition, servo.q, servo.velocity, target), now, out=True)
+            state = RobotState(servo.q, servo.velocity, stamp, target=target, condition=servo.condition)
+            carry(pack_state(state), now, out=True)
             next_state += period * (1 + int((now - next_state) / period))
         if now >= next_look:
             next_look = now + _LOOK

@@ -10,6 +10,7 @@ import numpy as np
 
 from coopqp.checks import ArrayLike, as_scalar, as_vector
 from coopqp.drivers.driver import Command, Condition, RobotState
+from coopqp.drivers.stamped import StampedCommands
 from coopqp.drivers.timing import LoopTime
 from coopqp.errors import InvalidInputError
 from coopqp.spatial import Array
@@ -41,17 +42,14 @@ class ServoModel:
         self.condition = Condition.RUNNING
         self.now = now
         self.lag, self.delay = lag, delay
-        self._commands: deque[tuple[float, Array]] = deque([(-np.inf, q.copy())])
+        self._commands = StampedCommands(q)
         self._speed: float | None = None
         self._halted = False
         self._offset, self._released = np.zeros(len(q)), -np.inf
 
     def push(self, at: float, q: Array) -> None:
         """Take a command that holds at a time [s]; one that is older than the last is ignored."""
-        if at > self._commands[-1][0]:
-            if self._commands[-1][0] == -np.inf:
-                self._commands.append((at - 0.01, self._commands[-1][1]))
-            self._commands.append((at, q.copy()))
+        self._commands.push(at, q)
 
     def limit(self, speed: float | None) -> None:
         """Follow commands at this speed at most (norm of the joints' velocities) [rad/s]; None without a limit."""
@@ -80,13 +78,7 @@ class ServoModel:
             self._step(h)
 
     def _wanted(self, now: float) -> Array:
-        moment, commands = now - self.delay, self._commands
-        while len(commands) > 2 and commands[1][0] <= moment:
-            commands.popleft()
-        if len(commands) < 2 or not np.isfinite(commands[0][0]):
-            return commands[0][1]
-        (t0, a), (t1, b) = commands[0], commands[1]
-        return a + min(max((moment - t0) / (t1 - t0), 0.0), 1.0) * (b - a)
+        return self._commands.at(now - self.delay)
 
     def _step(self, h: float) -> None:
         wanted = self._wanted(self.now)

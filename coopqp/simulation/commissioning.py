@@ -21,7 +21,7 @@ from coopqp.simulation.plants.physics import PhysicsPlant
 from coopqp.spatial import Array
 
 #: Longest commissioning [s].
-_LONGEST = 30.0
+LONGEST = 30.0
 #: Values this close to what they should be are what they should be: a fit is no better.
 _TURN, _GAIN = np.deg2rad(5.0), 0.08
 
@@ -63,22 +63,12 @@ def commission_sensors(
         InvalidInputError: the plant's drives are torque-controlled, or a known sensor is dead.
     """
     s, known = scenario, dict(known or {})
-    delay = max([0.01, *(sensor.delay for sensor in known.values())])
-    options = ForceOptions(
-        presses=True,
-        stiffness=plant.stiffness if stiffness is None else stiffness,
-        payload=Payload(mass=s.object_mass, centre=tuple(s.T_object_body.translation)),
-        delay=delay,
-        relax_time=max(0.06, 3.0 * (delay + s.dt)),
-        sensors=known,
-    )
-    inner = QPController(s.cell, s.grasp, HoldPath(s.path.pose(0.0), duration=_LONGEST), dt=s.dt)
-    controller = ForceController(inner, options)
+    controller = pressing_controller(s, known=known, stiffness=plant.stiffness if stiffness is None else stiffness)
     q = plant.reset(s.q_start)
     controller.reset(q)
     rest = plant.sensed_wrenches()
     added, reason = 0.0, "the sensors could not be heard"
-    for _ in range(round(_LONGEST / s.dt)):
+    for _ in range(round(LONGEST / s.dt)):
         step = controller.step(q, wrenches=plant.measured_wrenches())
         q = plant.apply(step)
         added = max(added, float(np.linalg.norm((plant.sensed_wrenches() - rest)[:, :3], axis=1).max()))
@@ -87,10 +77,43 @@ def commission_sensors(
         if step.status.value in ("holding", "fault"):
             reason = step.reason
             return Commissioning(judgement=None, reason=reason, sensors=None, added=added)
+    return commissioning_of(controller, known=known, reason=reason, added=added)
+
+
+def pressing_controller(
+    scenario: Scenario, *, known: Mapping[str, WristSensor], stiffness: Array | None
+) -> ForceController:
+    """A controller that holds the object at the start of a scenario, and presses the arms against each other.
+
+    Args:
+        scenario: the cell, the grasp, the start and the object.
+        known: what is known of the sensors, by arm.
+        stiffness: of the joint servos (nv,) [N·m/rad or N/m]; None for what :class:`ForceOptions` takes.
+    """
+    s = scenario
+    delay = max([0.01, *(sensor.delay for sensor in known.values())])
+    options = ForceOptions(
+        presses=True,
+        stiffness=stiffness,
+        payload=Payload(mass=s.object_mass, centre=tuple(s.T_object_body.translation)),
+        delay=delay,
+        relax_time=max(0.06, 3.0 * (delay + s.dt)),
+        sensors=known,
+    )
+    inner = QPController(s.cell, s.grasp, HoldPath(s.path.pose(0.0), duration=LONGEST), dt=s.dt)
+    return ForceController(inner, options)
+
+
+def commissioning_of(
+    controller: ForceController, *, known: Mapping[str, WristSensor], reason: str, added: float
+) -> Commissioning:
+    """What a controller found by its presses; ``reason``: why it found nothing, if it did not."""
     found = controller.sensors
     if found is None:
         return Commissioning(judgement=None, reason=reason, sensors=None, added=added)
-    return Commissioning(judgement=found, reason="", sensors=_together(found, known, s.cell.arm_names), added=added)
+    return Commissioning(
+        judgement=found, reason="", sensors=_together(found, known, controller.cell.arm_names), added=added
+    )
 
 
 def _together(

@@ -1,4 +1,5 @@
 from .calibration import calibration_figure as calibration_figure, write_calibration as write_calibration
+from .jog.link import PageLink as PageLink
 from .joints import joint_figure as joint_figure
 from .loads import load_figure as load_figure, run_loads_figure as run_loads_figure, write_load_use as write_load_use
 from .placements import placement_figure as placement_figure

@@ -7,7 +7,7 @@ import pytest
 from robots import joints_of
 
 from coopqp import InvalidInputError, QPController
-from coopqp.drivers import Command, Condition, ControlLoop, DriverError
+from coopqp.drivers import Command, Condition, ControlLoop, DriverError, RobotState
 from coopqp.drivers.packets import pack_command, pack_state, unpack_command, unpack_state
 from coopqp.drivers.sim import SimDriver, SimOptions
 from coopqp.scenarios import dual_arm7
@@ -33,13 +33,16 @@ def _until(driver, holds):
 
 def test_packets_come_back_as_they_were():
     q, v, t = np.arange(3.0), np.arange(3.0) + 0.5, np.arange(3.0) - 7.0
-    state = unpack_state(pack_state(12.5, Condition.PROTECTIVE, q, v, t), 3)
-    assert (state.stamp, state.condition) == (12.5, Condition.PROTECTIVE)
-    for given, got in ((q, state.q), (v, state.velocity), (t, state.target)):
-        np.testing.assert_array_equal(given, got)
-    assert unpack_state(pack_state(1.0, Condition.RUNNING, q, v, None), 3).target is None
-    assert unpack_state(pack_state(1.0, Condition.RUNNING, q, v, t), 4) is None
-    for junk in (b"", b"S", b"S" * 34, b"X" * 82):
+    w = np.arange(6.0) - 2.5
+    for target in (t, None):
+        for wrench in (w, None):
+            given = RobotState(q, v, 12.5, target=target, wrench=wrench, scaling=0.25, condition=Condition.PROTECTIVE)
+            packet = pack_state(given)
+            state = unpack_state(packet, 3)
+            for name in ("q", "velocity", "stamp", "target", "wrench", "scaling", "condition"):
+                np.testing.assert_array_equal(getattr(given, name), getattr(state, name))
+            assert unpack_state(packet, 4) is None
+    for junk in (b"", b"S", b"S" * 34, b"X" * 82, b"S" * 67):
         assert unpack_state(junk, 3) is None
     at, back = unpack_command(pack_command(3.25, q))
     assert at == 3.25

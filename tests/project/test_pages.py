@@ -20,8 +20,9 @@ from pathlib import Path
 import pytest
 from places import CELL_FILES as CELLS, ROOT
 
-from coopqp import load_cell_file
+from coopqp import ControlStep, load_cell_file
 from coopqp.cli import demo, main as cli
+from coopqp.drivers.real_time import RealTimeRun
 from coopqp.scenarios import robot_file
 from coopqp.simulation import Tolerances
 from coopqp.visualization import plots
@@ -73,8 +74,13 @@ def name_of(page: Path) -> str:
 
 @pytest.fixture
 def place(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """A folder like a checkout, with a cell of one's own; pictures are small, and the demo draws none."""
-    draw = plots.render
+    """A folder like a checkout, with a cell of one's own; pictures are small, the demo draws none, nobody jogs long."""
+    draw, serve = plots.render, RealTimeRun.run
+
+    def serve_one_step(run: RealTimeRun, observe: Callable[[ControlStep], None]) -> None:
+        serve(run, lambda step: (observe(step), run.stop())[0])
+
+    monkeypatch.setattr(RealTimeRun, "run", serve_one_step)
     monkeypatch.setattr(plots, "render", lambda scene, view, *, width: draw(scene, view, width=min(width, 60)))
     monkeypatch.setattr(demo, "demo_pictures", lambda *_: {"picture.png": b""})
     monkeypatch.setenv("HOME", str(tmp_path))
@@ -181,10 +187,22 @@ def run_driver(block: str, place: Path) -> None:
     assert load_cell_file(file).settings.drivers["left"].lag == 0.04
 
 
+def make_driver(block: str, place: Path, cell: str = "two_ur10") -> None:
+    """The table of the page makes a driver of an arm of a cell."""
+    file = place / "driven.toml"
+    right = block.replace("[drivers.left]", "[drivers.right]")
+    text = (CELLS / f"{cell}.toml").read_text(encoding="utf-8")
+    file.write_text(f"{text}\n{block}\n{right}", encoding="utf-8")
+    assert set(load_cell_file(file).drivers()) == {"left", "right"}
+
+
 TOML: dict[str, Callable[[str, Path], None]] = {
     "howto/cell-file.md": run_verdict,
     "howto/drivers.md": run_driver,
+    "howto/ros2.md": make_driver,
+    "howto/ur.md": make_driver,
     "howto/four-cells.md": run_arm,
+    "howto/franka.md": lambda block, place: make_driver(block, place, "bar"),
 }
 
 

@@ -101,6 +101,7 @@ def find_path(
     began = time.perf_counter()
     where = "find_path"
     grasp.check_arms(cell)
+    cell.refuse_shared("find_path")
     check_scene(cell, scene, f"{where}: scene")
     if scene is None:
         raise InvalidInputError("no scene", f"{where}: scene", "Give a CollisionScene; without bodies use check_path.")

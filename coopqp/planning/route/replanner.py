@@ -34,7 +34,7 @@ _AGAIN = 0.1
 #: Bodies that move by less are where they were [m]; a turn of 1 rad counts as 0.3 m.
 _SAME_PLACE = 1e-3
 #: Samples of a path that tell its largest speed.
-_SPEEDS = 50
+_SAMPLED_CLOCKS = 50
 #: An object that follows its path at a lower rate rests.
 _RESTS = 1e-3
 
@@ -236,7 +236,7 @@ class Replanner:
         """The search as a call without arguments."""
         controller = self._controller
         if self._fastest is None or self._fastest[0] is not motion.path:
-            clocks = np.linspace(motion.clock, motion.path.duration, _SPEEDS)
+            clocks = np.linspace(motion.clock, motion.path.duration, _SAMPLED_CLOCKS)
             twists = [motion.path.twist(float(clock)) for clock in clocks]
             fastest = max(length_of(V[:3], V[3:]) for V in twists)
             before = 0.0 if self._fastest is None else self._fastest[1]
