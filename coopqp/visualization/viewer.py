@@ -141,6 +141,7 @@ def export_html(
     *,
     sticks: bool = False,
     progress: Callable[[int, int], None] | None = None,
+    mark: Callable[[Any], None] | None = None,
 ) -> Path:
     """Write a run as one offline page with play, pause, scrub and speed.
 
@@ -149,6 +150,7 @@ def export_html(
         file: path of the page.
         sticks: draw the arms as sticks instead of their shapes.
         progress: called as ``progress(pictures done, pictures)``.
+        mark: called with the scene of viser before the first picture, to add what stands.
 
     Raises:
         SceneError: the recording does not describe its cell, or a mesh file is missing.
@@ -158,6 +160,8 @@ def export_html(
     page = Path(file)
     with _offline(page) as server:
         stage = Stage(server.scene, recording, sticks=sticks)
+        if mark is not None:
+            mark(server.scene)
         frame_camera(server, stage)
         hud = server.scene.add_label(
             "/readout",
