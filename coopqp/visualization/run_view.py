@@ -244,9 +244,7 @@ class Stage:
         grasps = None if self.recording.shift is None else self.recording.grasps_at(sample)
         self.place(self.recording.q[sample], self.limits(sample), grasps)
 
-    def place(
-        self, q: Array, limits: tuple[BindingLimit, ...], grasps: tuple[pin.SE3, ...] | None = None
-    ) -> pin.SE3:
+    def place(self, q: Array, limits: tuple[BindingLimit, ...], grasps: tuple[pin.SE3, ...] | None = None) -> pin.SE3:
         """Move the arms to ``q`` (nq,) and the object with them, and mark joints and arms with binding limits.
 
         ``grasps`` are T_object_tool of all arms where tools have moved on the object; None: as at the start.
