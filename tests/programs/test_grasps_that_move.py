@@ -144,15 +144,15 @@ def test_two_arms_open_a_part_while_a_third_lifts_it(kernel: str) -> None:
     steps = []
     for i in range(3000):
         if i % 97 == 50:
-            controller.set_override(float(rng.uniform(0.2, 1.0)))
+            controller.set_override(float(rng.uniform(0.5, 1.0)))
         if i == 200:
             controller.pause()
         if i == 260:
             controller.resume()
-        if i == 500:
-            controller.reverse(0.4)
+        if i == 420:
+            controller.reverse(0.8)
         step = controller.step()
-        if step.status.name == "PAUSED" and i > 560:
+        if step.status.name == "PAUSED" and i > 480:
             controller.forward()
         steps.append(step)
         away = max(away, apart(task, program, step.q_next, step.clock_next))
