@@ -1,4 +1,4 @@
-"""Write the measured tables of docs/measured.md and docs/reliability.md, from the records of ``make tables``, between marks.
+"""Write the measured tables of docs/measured.md and docs/reliability.md, from ``make tables``, between marks.
 
     python docs/tables.py out/bench
 
