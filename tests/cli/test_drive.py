@@ -71,6 +71,7 @@ def test_bad_input_is_refused_before_anything_is_started(quick, capsys, tmp_path
         (["--speed", "1.5"], "--speed"),
         (["--record", "x.npz"], "without --enable"),
         (["--enable", "two_robots", "--record", "x.mcap"], ".npz"),
+        (["--enable", "two_robots", "--record", str(quick.parent)], "exists"),
     ):
         assert main(["drive", str(quick), *given]) == 2, given
         assert words in capsys.readouterr().err
