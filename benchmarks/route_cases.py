@@ -32,7 +32,7 @@ class Problem(NamedTuple):
     q_start: Array
 
 
-def _at(p: Sequence[float], R: Array = _NO_TURN) -> pin.SE3:
+def at(p: Sequence[float], R: Array = _NO_TURN) -> pin.SE3:
     return pin.SE3(R, np.array(p, dtype=float))
 
 
@@ -54,18 +54,18 @@ def posts3() -> Problem:
     """Three RX-90L carry the paper's plate past two posts."""
     task = paper_lift()
     R = task.path.pose(0.0).rotation
-    posts = [Body(f"post_{i}", Capsule(0.04, 0.5), _at((x, 0.28, 0.02))) for i, x in ((1, 1.35), (2, 2.3))]
-    return _problem(task, _at((0.9, -0.2, 0.10), R), _at((0.9, 0.2, 0.35), R), posts)
+    posts = [Body(f"post_{i}", Capsule(0.04, 0.5), at((x, 0.28, 0.02))) for i, x in ((1, 1.35), (2, 2.3))]
+    return _problem(task, at((0.9, -0.2, 0.10), R), at((0.9, 0.2, 0.35), R), posts)
 
 
 def _bar(obstacles: Sequence[Body]) -> Problem:
     """Two Pandas carry a bar of 1 m across."""
-    return _problem(panda_bar(), _at((0.0, -0.3, 0.3)), _at((0.0, 0.3, 0.3)), obstacles)
+    return _problem(panda_bar(), at((0.0, -0.3, 0.3)), at((0.0, 0.3, 0.3)), obstacles)
 
 
 def pillar() -> Problem:
     """A bar over a pillar."""
-    return _bar([Body("pillar", Capsule(0.05, 0.6), _at((0.0, 0.0, 0.15)))])
+    return _bar([Body("pillar", Capsule(0.05, 0.6), at((0.0, 0.0, 0.15)))])
 
 
 def _beams(sill: pin.SE3, lintel: pin.SE3) -> list[Body]:
@@ -75,18 +75,18 @@ def _beams(sill: pin.SE3, lintel: pin.SE3) -> list[Body]:
 
 def window() -> Problem:
     """A bar between two beams."""
-    return _bar(_beams(_at((0.0, 0.0, 0.15)), _at((0.0, 0.0, 0.86))))
+    return _bar(_beams(at((0.0, 0.0, 0.15)), at((0.0, 0.0, 0.86))))
 
 
 def slot() -> Problem:
     """A bar through a tilted slot with 7 mm to spare a side."""
-    P = _at((0.0, 0.0, 0.45), pin.utils.rotate("y", 0.25))
-    return _bar(_beams(P * _at((0.0, 0.0, -0.34)), P * _at((0.0, 0.0, 0.34))))
+    P = at((0.0, 0.0, 0.45), pin.utils.rotate("y", 0.25))
+    return _bar(_beams(P * at((0.0, 0.0, -0.34)), P * at((0.0, 0.0, 0.34))))
 
 
 def wall() -> Problem:
     """A wall without an opening: there is no way."""
-    return _bar([Body("wall", Box((0.3, 0.08, 2.4)), _at((0.0, 0.0, 0.6)))])
+    return _bar([Body("wall", Box((0.3, 0.08, 2.4)), at((0.0, 0.0, 0.6)))])
 
 
 def peg(arms: int = 4) -> Problem:
@@ -99,30 +99,30 @@ def peg(arms: int = 4) -> Problem:
         ((0.1, 0.4), (0.25, 0.0)),
         ((0.1, 0.4), (-0.25, 0.0)),
     ]
-    carried = [Body("object", Box((k * a, k * b, 0.05)), _at((k * x, k * y, 0.0))) for (a, b), (x, y) in beams]
+    carried = [Body("object", Box((k * a, k * b, 0.05)), at((k * x, k * y, 0.0))) for (a, b), (x, y) in beams]
     R = pin.utils.rotate("z", float(np.deg2rad(12.0)))
-    block = Body("block", Box((0.4 * k - 0.06, 0.4 * k - 0.06, 0.4)), _at((0.0, 0.0, 0.02), R))
-    return _problem(task, _at((-0.12, -0.08, 0.32)), _at((0.0, 0.0, 0.16), R), [block], carried)
+    block = Body("block", Box((0.4 * k - 0.06, 0.4 * k - 0.06, 0.4)), at((0.0, 0.0, 0.02), R))
+    return _problem(task, at((-0.12, -0.08, 0.32)), at((0.0, 0.0, 0.16), R), [block], carried)
 
 
-def _two_ur10() -> tuple[RobotCell, Grasp, Array]:
+def two_ur10() -> tuple[RobotCell, Grasp, Array]:
     """Two UR10 that face each other 2.3 m apart and hold a bar at ±0.4 m, and positions near a start, elbows up."""
     forward_sideways = np.array([[0.0, 0.0, 1.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
     arms, tools = [], []
     for name, side, yaw in (("left", -1.0, 0.0), ("right", 1.0, np.pi)):
         turn = pin.utils.rotate("z", yaw)
-        arms.append(robot_arm("ur10", name=name, T_world_base=_at((side * 1.15, 0.0, 0.0), turn)))
-        tools.append(_at((side * 0.4, 0.0, 0.0), turn @ forward_sideways))
+        arms.append(robot_arm("ur10", name=name, T_world_base=at((side * 1.15, 0.0, 0.0), turn)))
+        tools.append(at((side * 0.4, 0.0, 0.0), turn @ forward_sideways))
     return RobotCell(arms), Grasp(tuple(tools)), np.deg2rad(np.tile([-15.1, -86.1, 103.6, -17.6, 74.9, 0.0], 2))
 
 
 def shelf() -> Problem:
     """Two UR10 take a bar from under a board to above it."""
-    cell, grasp, near = _two_ur10()
-    start = _at((0.0, 0.25, 0.48))
-    path = LinePath(start, _at((0.0, 0.3, 0.80)), duration=3.0)
+    cell, grasp, near = two_ur10()
+    start = at((0.0, 0.25, 0.48))
+    path = LinePath(start, at((0.0, 0.3, 0.80)), duration=3.0)
     task = Scenario("two_ur10", cell, grasp, path, near, 0.002, object_size=(0.8, 0.06, 0.06), object_mass=3.0)
-    return _problem(task, start, path.goal, [Body("board", Box((0.5, 0.5, 0.03)), _at((0.0, 0.3, 0.64)))])
+    return _problem(task, start, path.goal, [Body("board", Box((0.5, 0.5, 0.03)), at((0.0, 0.3, 0.64)))])
 
 
 #: Problems by name.
@@ -153,8 +153,8 @@ def impossible() -> dict[str, Problem]:
     far = posts3()
     block = Body("block", Box((0.1, 0.1, 0.1)), inside.start)
     return {
-        "goal inside the pillar": inside._replace(goal=_at((0.0, 0.0, 0.3))),
-        "goal out of reach": far._replace(goal=far.goal * _at((0.0, 0.0, 2.0))),
+        "goal inside the pillar": inside._replace(goal=at((0.0, 0.0, 0.3))),
+        "goal out of reach": far._replace(goal=far.goal * at((0.0, 0.0, 2.0))),
         "start inside a block": inside._replace(
             scene=CollisionScene(cell=inside.cell, grasp=inside.grasp, carried=inside.scene.carried, obstacles=[block])
         ),

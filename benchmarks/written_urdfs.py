@@ -105,8 +105,8 @@ ARMS = {
 }
 
 
-def urdf(name: str) -> str:
-    """The URDF of an arm of :data:`ARMS`."""
+def urdf(name: str, *, radius: float = _RADIUS) -> str:
+    """The URDF of an arm of :data:`ARMS`, its rods of a radius [m]."""
     arm = ARMS[name]
     lines = [f'<robot name="{name}">', '  <link name="base_link"/>']
     ends = [joint.xyz for joint in arm.joints[1:]] + [arm.tool_xyz]
@@ -122,7 +122,7 @@ def urdf(name: str) -> str:
             f'    <limit effort="100" velocity="{joint.speed}"{limits}/>',
             "  </joint>",
             f'  <link name="link_{k}">',
-            *(f"    <{use}>{_rod(end)}</{use}>" for use in ("visual", "collision")),
+            *(f"    <{use}>{_rod(end, radius)}</{use}>" for use in ("visual", "collision")),
             "  </link>",
         ]
         parent = f"link_{k}"
@@ -138,15 +138,15 @@ def urdf(name: str) -> str:
     return "\n".join(lines)
 
 
-def _rod(end: tuple[float, float, float]) -> str:
+def _rod(end: tuple[float, float, float], radius: float) -> str:
     """A rod from the origin to a point, or a ball where that is near."""
     x, y, z = end
     length = hypot(x, y, z)
-    if length < 2.0 * _RADIUS:
-        return f'<origin xyz="0 0 0"/><geometry><sphere radius="{_RADIUS}"/></geometry>'
+    if length < 2.0 * radius:
+        return f'<origin xyz="0 0 0"/><geometry><sphere radius="{radius}"/></geometry>'
     rpy = (0.0, atan2(hypot(x, y), z), atan2(y, x))
     middle = (0.5 * x, 0.5 * y, 0.5 * z)
-    shape = f'<cylinder radius="{_RADIUS}" length="{length:.6f}"/>'
+    shape = f'<cylinder radius="{radius}" length="{length:.6f}"/>'
     return f"{_origin(middle, rpy)}<geometry>{shape}</geometry>"
 
 

@@ -33,7 +33,7 @@ from .errors import CoopqpError as CoopqpError, InvalidInputError as InvalidInpu
 from .files.cellfile import load_cell_file as load_cell_file
 from .forces.force_controller import ForceController as ForceController
 from .forces.force_options import ForceOptions as ForceOptions
-from .model.cell import Arm as Arm, JointLimits as JointLimits, RobotCell as RobotCell
+from .model.cell import Arm as Arm, JointLimits as JointLimits, Robot as Robot, RobotCell as RobotCell
 from .model.common_error import CommonError as CommonError
 from .model.grasp import Grasp as Grasp
 from .model.inverse_kinematics import inverse_kinematics as inverse_kinematics
@@ -50,6 +50,7 @@ from .paths.timed import TimedPath as TimedPath
 from .planning.check import check_path as check_path
 from .planning.planner import plan as plan
 from .planning.route.finding import find_path as find_path
+from .planning.route.replanner import Replanner as Replanner
 from .planning.starts import find_start as find_start
 from .programs.program import Phase as Phase, Program as Program
 from .simulation.recording.recording import Recording as Recording

@@ -76,6 +76,10 @@ class UnreachableError(CoopqpError):
     """An arm cannot reach a pose."""
 
 
+class LooseObjectError(UnreachableError):
+    """Grasps that give way leave the object loose: it moves although all tools that hold it rest."""
+
+
 class NoStartError(UnreachableError):
     """Arms have no start from which they follow a path. The message names arm, joint, amount and remedy."""
 

@@ -152,8 +152,8 @@ class Page:
             file.write_bytes(png)
         return np.asarray(Image.open(io.BytesIO(png)).convert("RGB"), dtype=np.int16)
 
-    def settled(self, *, timeout: float = 60.0) -> Picture:
-        """A screenshot after two equal ones in a row, half a second apart."""
+    def settled(self, *, timeout: float = 60.0, every: float = 0.5) -> Picture:
+        """A screenshot after two equal ones in a row, half a second apart, or another time [s]."""
         last = [self.screenshot()]
 
         def still() -> bool:
@@ -162,7 +162,7 @@ class Page:
             last[0] = picture
             return same
 
-        self.wait_until(still, timeout=timeout, every=0.5)
+        self.wait_until(still, timeout=timeout, every=every)
         return last[0]
 
     def press(self, x: float, y: float) -> None:

@@ -36,6 +36,7 @@ PROGRAMS: Mapping[str, tuple[str, ...]] = {
     "coopqp new new_cell --arm panda --arm xarm7 --quiet --out {out}": ("docs/howto/new_cell.png",),
     "python docs/movie.py --out {out}": ("docs/images/two_lifts.gif",),
     "python docs/screenshots.py viewer --out {out}": ("docs/images/viewer.png",),
+    "python docs/screenshots.py jog --out {out}": ("docs/images/jog.gif",),
     "python docs/examples/01_paper_lift.py --out {out}": ("docs/tutorials/paper_drift.png",),
     "python docs/examples/02_your_own_arms.py --out {out}": ("docs/tutorials/your_own_arms.png",),
     "python docs/examples/03_redundant_arms.py --out {out}": ("docs/tutorials/elbows.png",),
@@ -76,6 +77,7 @@ PROGRAMS: Mapping[str, tuple[str, ...]] = {
     "python docs/examples/39_grasp_again.py --out {out}": ("docs/tutorials/grasp_again.png",),
     "python docs/examples/40_positioner.py --out {out}": ("docs/tutorials/positioner.png",),
     "python docs/examples/34_slowest_arm.py --out {out}": ("docs/howto/drive.png",),
+    "python docs/examples/36_one_robot.py --out {out}": ("docs/tutorials/one_robot.png",),
 }
 #: Programs of this kind need Chromium (`make browser`).
 NEEDS_BROWSER = "docs/screenshots.py"

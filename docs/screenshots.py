@@ -1,4 +1,7 @@
-"""Screenshots for the pages: what a browser shows of a run.  python docs/screenshots.py viewer --out FOLDER"""
+"""Screenshots for the pages: what a browser shows of a run.  python docs/screenshots.py viewer --out FOLDER
+
+``jog`` is a moving picture of the operator's page: a run in simulation is shown on it step by step.
+"""
 
 from __future__ import annotations
 
@@ -10,10 +13,13 @@ from pathlib import Path
 from browser import NAMES, Page, Picture, find_browser
 from PIL import Image
 
-from coopqp import QPController, Recording, simulate
+from coopqp import ControlStep, QPController, Recording, simulate
+from coopqp.cli.runs import obtain_task
 from coopqp.scenarios import at_limit
-from coopqp.simulation import describe_object
+from coopqp.simulation import Event, describe_object, operating
 from coopqp.visualization import export_html
+from coopqp.visualization.jog.page import JogPage
+from coopqp.visualization.jog.seen import Seen
 
 TRACK = "[class*=Slider-track]"
 
@@ -34,11 +40,66 @@ def _drawn(picture: Picture) -> bool:
     return bool(middle.std() > 5.0)
 
 
-def shoot_run(recording: Recording, picture: Path, *, share: float, width: int = 1100, height: int = 640) -> None:
-    """A picture of the viewer's page, with the slider at a share of the run."""
+def _browser() -> str:
     program = find_browser()
     if program is None:
         raise SystemExit(f"no browser ({', '.join(NAMES)}); 'make browser' installs one")
+    return program
+
+
+def _without_notes(page: Page) -> None:
+    """Close what the browser says of its graphics."""
+    page.evaluate("document.querySelectorAll('[class*=Notification-root] button').forEach(b => b.click())")
+
+
+def operated() -> list[Seen]:
+    """A run that is stopped, led by hand and led back, as the page shows it: a picture each 0.3 s."""
+    task, seen = obtain_task("dual_arm7"), list[Seen]()
+    controller = task.controller()
+    every, dt = round(0.3 / controller.dt), controller.dt
+    twists = [(1.6, (0.0, 0.0, 0.12, 0.0, 0.0, 0.0)), (2.4, (0.08, 0.0, 0.0, 0.0, 0.0, 0.4))]
+    calls = [(0.8, "pause", None), (3.6, "return_to_path", None), (4.6, "forward", None)]
+    calls += [(begin + 0.04 * i, "jog", [list(v), "world", 0.1]) for begin, v in twists for i in range(20)]
+    events = [Event(round(time / dt), call, value) for time, call, value in calls]
+    steps = 0
+
+    def observe(step: ControlStep) -> None:
+        nonlocal steps
+        if steps % every == 0:
+            seen.append(Seen.of(step, controller, time=steps * dt))
+        steps += 1
+
+    simulate(controller, q_start=task.q_start, duration=7.0, observe=observe, operate=operating(events))
+    return seen
+
+
+def shoot_jog(picture: Path, *, width: int = 880, height: int = 470) -> None:
+    """The operator's page while an object is led, as a moving picture."""
+    frames: list[Picture] = []
+    shown = JogPage(obtain_task("dual_arm7").at_start(), lambda *_, **__: None, port=0)
+    with (
+        tempfile.TemporaryDirectory(ignore_cleanup_errors=True) as folder,
+        Page(_browser(), Path(folder) / "profile", width=width, height=height) as page,
+    ):
+        page.open(shown.url)
+        page.wait_until(lambda: page.evaluate("document.body?.innerText.includes('Return')"))
+        page.wait_until(lambda: _drawn(page.screenshot()), timeout=90)
+        _without_notes(page)
+        page.settled()
+        for seen in operated():
+            shown.show(seen)
+            frames.append(page.settled(every=0.12))
+    shown.close()
+    images = [Image.fromarray(frame.astype("uint8")) for frame in frames]
+    palette = images[len(images) // 2].quantize(128)
+    small = [image.quantize(palette=palette, dither=Image.Dither.NONE) for image in images]
+    spans = [300] * (len(small) - 1) + [1500]
+    small[0].save(picture, save_all=True, append_images=small[1:], duration=spans, loop=0, optimize=True)
+
+
+def shoot_run(recording: Recording, picture: Path, *, share: float, width: int = 1100, height: int = 640) -> None:
+    """A picture of the viewer's page, with the slider at a share of the run."""
+    program = _browser()
     with tempfile.TemporaryDirectory(ignore_cleanup_errors=True) as folder:  # the browser ends later
         file = export_html(recording, Path(folder) / "run.html")
         with Page(program, Path(folder) / "profile", width=width, height=height) as page:
@@ -46,7 +107,7 @@ def shoot_run(recording: Recording, picture: Path, *, share: float, width: int =
             page.wait_until(lambda: page.evaluate(f"!!document.querySelector('{TRACK}')"))
             page.wait_until(lambda: page.evaluate("!!document.querySelector('canvas')"))
             page.wait_until(lambda: _drawn(page.screenshot()), timeout=90)
-            page.evaluate("document.querySelectorAll('[class*=Notification-root] button').forEach(b => b.click())")
+            _without_notes(page)
             page.pause()
             track = page.box(TRACK)
             page.press(track["left"] + share * track["width"], track["top"] + 0.5 * track["height"])
@@ -55,7 +116,8 @@ def shoot_run(recording: Recording, picture: Path, *, share: float, width: int =
 
 #: Pictures by the name of the command.
 PICTURES: dict[str, Callable[[Path], None]] = {
-    "viewer": lambda out: shoot_run(run_at_limit(), out / "viewer.png", share=0.6)
+    "viewer": lambda out: shoot_run(run_at_limit(), out / "viewer.png", share=0.6),
+    "jog": lambda out: shoot_jog(out / "jog.gif"),
 }
 
 if __name__ == "__main__":

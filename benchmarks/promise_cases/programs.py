@@ -14,9 +14,21 @@ from dataclasses import replace
 import numpy as np
 import pinocchio as pin
 
-from coopqp import ControlStep, LinePath, QPController, Status, check_path
+from coopqp import ControlStep, LinePath, QPController, RobotCell, Status, check_path
+from coopqp.planning import time_program
 from coopqp.programs import Phase, Program, Role, Slides, Travels, Turns, Waits
-from coopqp.scenarios import Scenario, conveyor, draw_on_plate, hand_over, paper_lift, pliers, positioner
+from coopqp.scenarios import (
+    Scenario,
+    bar_with_pins,
+    conveyor,
+    draw_on_plate,
+    five_joint_pins,
+    hand_over,
+    paper_lift,
+    pliers,
+    positioner,
+    robot_arm,
+)
 from promise_cases import Promise
 
 _DT, _ACCELERATION = 0.002, 5.0
@@ -257,13 +269,54 @@ def _checked(quick: bool) -> Iterator[Promise]:
     yield Promise(f"{seeds} random programs: wrong phase or arm named", wrong, 0, "")
 
 
+def _planned(quick: bool) -> Iterator[Promise]:
+    worst, broken = 0.0, 0.0
+    makes: list[Callable[[], Scenario]] = [pliers, lambda: _regrasped(1, rests=True), lambda: _regrasped(0, rests=True)]
+    for make in makes[:1] if quick else makes:
+        task = make()
+        program = task.path
+        assert isinstance(program, Program)
+        optimum = time_program(task.cell, task.grasp, program, q_start=task.q_start, share=1.0).duration
+        planned = time_program(task.cell, task.grasp, program, q_start=task.q_start)
+        task = replace(task, path=planned)
+        judge = _Judge(task, _program_places(task))
+        steps = _to_the_end(_started(task), judge)
+        worst = max(worst, _DT * len(steps) / optimum if steps[-1].finished else np.inf)
+        broken = max(broken, judge.chain, judge.path)
+    yield Promise("run of a planned program, over the optimum of its phases", worst, 1.03, "")
+    yield Promise("run of a planned program: chain, path", 1e6 * broken, 0.5, "µm")
+
+
+def _pins(quick: bool) -> Iterator[Promise]:
+    del quick
+    task = five_joint_pins()
+    judge = _Judge(task, lambda clock: list(task.grasp.T_object_tool))
+    steps = _to_the_end(_started(task), judge)
+    off = max(judge.chain, judge.path) if steps[-1].finished else np.inf
+    yield Promise("two arms of five joints with pins, six-dimensional path: chain, path", 1e6 * off, 0.1, "µm")
+    task = bar_with_pins()
+    wide = LinePath.displaced(task.path.pose(0.0), rotation=(0.0, 0.0, 3.0), duration=6.0, time_law="linear")
+    reached = float(np.rad2deg(0.5 * _to_the_end(_started(replace(task, path=wide)))[-1].clock))
+    yield Promise("two RX-90L on a bar with pins: yaw short of 96°", 96.0 - reached, 0.0, "°")
+
+
+def _rigid_bar() -> Scenario:
+    """The bar of :func:`coopqp.scenarios.bar_with_pins` in rigid grips, and less far."""
+    pins = bar_with_pins(yaw=1.0)
+    arms = [robot_arm("rx90l", name=arm.name, T_world_base=arm.T_world_base) for arm in pins.cell.arms]
+    cell = RobotCell(arms).with_limits(acceleration=_ACCELERATION)
+    q_start = np.concatenate([pins.q_start[:6], pins.q_start[7:13]])
+    return replace(pins, cell=cell, q_start=q_start)
+
+
 def _costs(quick: bool) -> Iterator[Promise]:
     fixed = _lift()
     task = pliers()
-    ratios = []
+    bar, pins = _rigid_bar(), bar_with_pins(yaw=1.0)
+    ratios, hinged = [], []
     for _ in range(7 if quick else 15):
         spent = []
-        for one in (fixed, task):
+        for one in (fixed, task, bar, pins):
             controller = _started(one)
             for _ in range(100):
                 controller.step()
@@ -272,10 +325,12 @@ def _costs(quick: bool) -> Iterator[Promise]:
                 controller.step()
             spent.append(time.process_time() - began)
         ratios.append(spent[1] / spent[0])
+        hinged.append(spent[3] / spent[2])
     yield Promise("step with two moving grasps, over one with fixed grasps", float(np.median(ratios)), 1.4, "")
+    yield Promise("step with a hinge per arm, over one with rigid grips", float(np.median(hinged)), 1.3, "")
 
 
 def promises(quick: bool) -> Iterator[Promise]:
     """Promises about programs."""
-    for part in (_pliers, _wide, _tools, _regrasp, _gates, _checked, _costs):
+    for part in (_pliers, _wide, _tools, _regrasp, _gates, _checked, _planned, _pins, _costs):
         yield from part(quick)

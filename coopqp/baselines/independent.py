@@ -93,6 +93,7 @@ class IndependentQPController:
         require(grasp, Grasp, "IndependentQPController: grasp", "Give a Grasp of the placements.")
         grasp.check_arms(cell)
         refuse_motion(path, "IndependentQPController: path", "Give it to a QPController.")
+        cell.refuse_shared("IndependentQPController")
         self._lock = Lock()
         self.cell, self.grasp, self.path = cell, grasp, path
         self.dt = as_scalar(dt, "IndependentQPController: dt")

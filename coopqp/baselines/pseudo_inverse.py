@@ -97,6 +97,7 @@ class PseudoInverseController:
         require(grasp, Grasp, "PseudoInverseController: grasp", "Give a Grasp of the placements.")
         grasp.check_arms(cell)
         refuse_motion(path, "PseudoInverseController: path", "Give it to a QPController.")
+        cell.refuse_shared("PseudoInverseController")
         self._lock = Lock()
         self.cell, self.grasp, self.path = cell, grasp, path
         self.dt = as_scalar(dt, "PseudoInverseController: dt")

@@ -7,7 +7,7 @@ import contextlib
 import math
 import signal
 import sys
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from coopqp.drivers.driver import RobotDriver
     from coopqp.drivers.loop import ControlLoop
     from coopqp.files.cellfile.build import CellRun
+    from coopqp.visualization.jog.link import PageLink
 
 _OK, _REFUSED, _FAILED, _INTERRUPTED = 0, 3, 4, 130
 #: How long states are read before a dry run [s].
@@ -83,12 +84,16 @@ def run_drive(arguments: argparse.Namespace) -> int:
     if run.controller_kind != "qp":
         raise InvalidInputError(f"the controller is '{run.controller_kind}'", "drive", 'Give kind = "qp".')
     if arguments.enable is not None:
-        ask_for_name(run.scenario.name, arguments.enable)
-    drivers = run.drivers(arguments.driver)
+        return drive_enabled(run, arguments, speed)
+    with _drivers(run, arguments.driver) as drivers:
+        return _dry_run(run, drivers, speed)
+
+
+@contextlib.contextmanager
+def _drivers(run: CellRun, kind: str | None) -> Iterator[dict[str, RobotDriver]]:
+    drivers = run.drivers(kind)
     try:
-        if arguments.enable is None:
-            return _dry_run(run, drivers, speed)
-        return _drive(run, drivers, speed, arguments)
+        yield drivers
     finally:
         close_drivers(drivers)
 
@@ -201,8 +206,28 @@ def _in_simulation(run: CellRun, loop: ControlLoop, speed: float) -> str:
 # -- with --enable -----------------------------------------------------------------------------------------------------
 
 
-def _drive(run: CellRun, drivers: dict[str, RobotDriver], speed: float, arguments: argparse.Namespace) -> int:
+def drive_enabled(
+    run: CellRun,
+    arguments: argparse.Namespace,
+    speed: float,
+    *,
+    lead: Callable[[ControlLoop], PageLink] | None = None,
+) -> int:
+    """Move the robots of a cell, after asking for its name; ``lead`` opens a page that leads the loop."""
+    ask_for_name(run.scenario.name, arguments.enable)
+    with _drivers(run, arguments.driver) as drivers:
+        return _drive(run, drivers, speed, arguments, lead)
+
+
+def _drive(
+    run: CellRun,
+    drivers: dict[str, RobotDriver],
+    speed: float,
+    arguments: argparse.Namespace,
+    lead: Callable[[ControlLoop], PageLink] | None,
+) -> int:
     from coopqp.drivers.bag_recorder import BagRecorder
+    from coopqp.drivers.led_loop import ShownRecorder
     from coopqp.drivers.loop import ControlLoop
     from coopqp.drivers.options import LoopOptions
     from coopqp.drivers.recorder import MemoryRecorder
@@ -214,7 +239,8 @@ def _drive(run: CellRun, drivers: dict[str, RobotDriver], speed: float, argument
         recorder = MemoryRecorder(controller)
     elif arguments.record is not None:
         recorder = BagRecorder(run.scenario.cell.joint_names, arguments.record)
-    loop = ControlLoop(controller, drivers, LoopOptions(ramp_time=2.0), recorder=recorder)
+    shown = ShownRecorder(recorder)
+    loop = ControlLoop(controller, drivers, LoopOptions(ramp_time=2.0), recorder=recorder if lead is None else shown)
     with contextlib.ExitStack() as ending:
         if isinstance(recorder, BagRecorder):
             ending.callback(recorder.close)
@@ -223,6 +249,10 @@ def _drive(run: CellRun, drivers: dict[str, RobotDriver], speed: float, argument
             for line in refused:
                 say("refused:", line)
             return _REFUSED
+        if lead is not None:
+            link = lead(loop)
+            ending.callback(link.close)
+            shown.show = link.observe
         seen = ending.enter_context(interrupts(loop))
         if not arguments.quiet:
             print(slower, flush=True)

@@ -37,15 +37,20 @@ def _run_examples(_: argparse.Namespace) -> int:
 
 def _robots(tables: Mapping[str, Any]) -> str:
     """The robots of a cell file with their numbers, as ``2 panda, 2 ur5``."""
-    names = [arm["robot"] for arm in tables["arms"]]
+    names = _names(tables)
     return ", ".join(f"{names.count(name)} {name}" for name in dict.fromkeys(names))
+
+
+def _names(tables: Mapping[str, Any]) -> list[str]:
+    """The names of the arms' robots, and of those that have several arms."""
+    return [each["robot"] for each in (*tables.get("robots", ()), *tables["arms"]) if "robot" in each]
 
 
 def needed_extras(tables: Mapping[str, Any]) -> tuple[str, ...]:
     """The extras of coopqp without which the tables of a cell file cannot be run."""
     from coopqp.scenarios.arms import ROBOTS
 
-    extras = {ROBOTS[arm["robot"]].extra for arm in tables["arms"]} - {""}
+    extras = {ROBOTS[name].extra for name in _names(tables) if name in ROBOTS} - {""}
     if tables.get("plant", {}).get("kind") == "physics":
         extras.add("mujoco")
     return tuple(sorted(extras))

@@ -119,7 +119,7 @@ def _check_accelerations(run: CellRun, file: Path) -> None:
 
     cell = run.scenario.cell
     limited = np.isfinite(cell.limits.acceleration)
-    bare = [name for name, joints in zip(cell.arm_names, cell.v_slices, strict=True) if not limited[joints].all()]
+    bare = [name for name, joints in cell.blocks.items() if not limited[joints].all()]
     if bare:
         raise CellFileError(
             f"{file}: a plan needs acceleration limits: {'arm' if len(bare) == 1 else 'arms'} {', '.join(bare)} "

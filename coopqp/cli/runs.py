@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import shutil
-from collections.abc import Callable, Iterable, Sequence
-from dataclasses import replace
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
 from importlib import import_module
 from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 from coopqp.collision.clearance import Clearance
 from coopqp.collision.scene import CollisionScene
@@ -14,13 +15,19 @@ from coopqp.control.qp import QPController
 from coopqp.errors import InvalidInputError, OutputError, UnknownNameError
 from coopqp.model.posture import PostureOptions
 from coopqp.output import check_below, check_folder, check_unused, folder_of, numbered, write_files
+from coopqp.paths.scenario import Scenario
 from coopqp.planning.self_motion import led_path
 from coopqp.simulation.engine import run_in_engine
 from coopqp.simulation.evaluation.closeness import default_scene, with_clearance
 from coopqp.simulation.events import Operate
+from coopqp.simulation.plants.kinematic import KinematicPlant, Plant
 from coopqp.simulation.recording.recording import Recording
 from coopqp.simulation.recording.scene import describe_object, read_object
 from coopqp.simulation.simulate import ProgressCallback, simulate
+from coopqp.spatial import Array
+
+if TYPE_CHECKING:
+    from coopqp.files.cellfile.build import CellRun
 
 #: Products of :func:`write_products` and their file names.
 PRODUCTS = {
@@ -76,32 +83,106 @@ def obtain_run(
         return Recording.load(file, meshes=meshes)
     if name not in SCENARIOS:
         raise UnknownNameError("recording (.npz), cell file (.toml, .yaml) or scenario", name, SCENARIOS)
-    scenario = SCENARIOS[name]()
-    box = describe_object(scenario.object_size, scenario.T_object_body)
-    metadata = {"scenario": scenario.name, "method": "qp", "object": box}
-    scene, constraints = default_scene(scenario), []
-    if scenario.engine is not None:
+    if SCENARIOS[name]().engine is not None:
         if operate is not None:
             raise InvalidInputError(f"{name} runs in an engine by itself", "operator", "Give a cell file of it.")
-        run = run_in_engine(scenario, progress=progress, metadata=metadata)
-        return with_clearance(run, scene, avoided=False)
-    if scenario.obstacles:
-        scene = CollisionScene.of(scenario)
-        constraints = [Clearance(scene)]
-    path = led_path(
-        scenario.cell,
-        scenario.grasp,
-        scenario.path,
-        q_start=scenario.q_start,
-        posture=PostureOptions(),
-        scene=scene if constraints else None,
-    )
-    controller = QPController(scenario.cell, scenario.grasp, path, dt=scenario.dt, constraints=constraints)
+        scenario = SCENARIOS[name]()
+        run = run_in_engine(scenario, progress=progress, metadata=_metadata(scenario))
+        return with_clearance(run, default_scene(scenario), avoided=False)
+    live = _scenario_task(name)
     run = simulate(
-        controller, q_start=scenario.q_start, duration=longest, settle=settle, progress=progress, operate=operate,
-        metadata=metadata,
+        live.controller(), q_start=live.q_start, duration=longest, settle=settle, progress=progress, operate=operate,
+        metadata=dict(live.metadata),
     )  # fmt: skip
-    return with_clearance(run, scene, avoided=bool(constraints))
+    return live.finished(run)
+
+
+def _metadata(scenario: Scenario) -> dict[str, Any]:
+    box = describe_object(scenario.object_size, scenario.T_object_body)
+    return {"scenario": scenario.name, "method": "qp", "object": box}
+
+
+@dataclass(frozen=True, eq=False)
+class Task:
+    """A cell to be run, with all that a run needs.
+
+    Attributes:
+        name: of the task.
+        controller, plant: make a new one.
+        q_start: where it begins (nq,).
+        metadata: of its recordings.
+        scene: bodies that keep distances; may be None.
+        avoids: the controller keeps them.
+    """
+
+    name: str
+    controller: Callable[[], QPController]
+    plant: Callable[[], Plant]
+    q_start: Array
+    metadata: Mapping[str, Any]
+    scene: CollisionScene | None
+    avoids: bool
+
+    def finished(self, run: Recording) -> Recording:
+        """A run with how close bodies came."""
+        return with_clearance(run, self.scene, avoided=self.avoids)
+
+    def at_start(self) -> Recording:
+        """The cell at its start, as a run of one step."""
+        controller = self.controller()
+        run = simulate(controller, q_start=self.q_start, duration=controller.dt, metadata=dict(self.metadata))
+        shown = self.finished(run)
+        return replace(shown, metadata={k: v for k, v in shown.metadata.items() if k != "clearance"})
+
+
+def obtain_task(name: str) -> Task:
+    """The task of a cell file, or of a scenario with the QP.
+
+    Raises:
+        UnknownNameError: the name is neither a file nor a scenario.
+        InvalidInputError: another controller than the QP, or a scenario that runs in an engine by itself.
+        CellFileError, CoopqpError: the cell file has an error.
+    """
+    from coopqp.files.cellfile import load_cell_file, require_readers
+    from coopqp.files.cellfile.error import TOML_SUFFIX, YAML_SUFFIXES
+    from coopqp.scenarios import SCENARIOS
+
+    file = Path(name)
+    if file.suffix not in (TOML_SUFFIX, *YAML_SUFFIXES):
+        if name not in SCENARIOS:
+            raise UnknownNameError("cell file (.toml, .yaml) or scenario", name, SCENARIOS)
+        return _scenario_task(name)
+    require_readers()
+    return task_of(load_cell_file(file))
+
+
+def task_of(run: CellRun) -> Task:
+    """The task of a cell file that is read; errors as of :func:`obtain_task`."""
+    if run.controller_kind != "qp":
+        raise InvalidInputError(f"the controller is '{run.controller_kind}'", str(run.file), 'Give kind = "qp".')
+    led = run.led()
+    make: Any = led.controller
+    s = run.scenario
+    return Task(s.name, make, run.plant, s.q_start, run.metadata(), run.scene, run.avoids)
+
+
+def _scenario_task(name: str) -> Task:
+    from coopqp.scenarios import SCENARIOS
+
+    s = SCENARIOS[name]()
+    if s.engine is not None:
+        raise InvalidInputError(f"{name} runs in an engine by itself", "operator", "Give a cell file of it.")
+    scene = CollisionScene.of(s) if s.obstacles else default_scene(s)
+    avoids = bool(s.obstacles)
+    led = led_path(
+        s.cell, s.grasp, s.path, q_start=s.q_start, posture=PostureOptions(), scene=scene if avoids else None
+    )
+
+    def make() -> QPController:
+        constraints = [Clearance(scene)] if avoids and scene is not None else []
+        return QPController(s.cell, s.grasp, led, dt=s.dt, constraints=constraints)
+
+    return Task(s.name, make, lambda: KinematicPlant(s.cell), s.q_start, _metadata(s), scene, avoids)
 
 
 def output_folder(name: str, asked: str | None, products: Iterable[str], *, out: Path | None, force: bool) -> Path:

@@ -70,7 +70,7 @@ class _Choice:
         samples = len(self._ways[branches[0][0]][0])
         x = np.zeros((samples, self._cell.nv))
         for k, b in branches:
-            x[:, self._cell.v_slices[k]] = self._ways[k][b]
+            x[:, self._cell.columns[k]] = self._ways[k][b]
         reach, margins = self._built.reach[pairs], self._built.margins[pairs]
         clearances = np.full(len(pairs), -np.inf)
         before = x[0]

@@ -149,7 +149,8 @@ class Distances:
             **bounds.arrays(),
             "kinds": self._kinds,
             "continuous": continuous,
-            "arm": np.array([cell.arm_of_joint(j) for j in range(cell.nv)], dtype=float),
+            # A pair moves with two arms at most, and with what they share: then all joints count as one arm's.
+            "arm": np.array([0 if cell.groups else cell.arm_of_joint(j) for j in range(cell.nv)], dtype=float),
             "jacobian": self._data.J.T,
         }
         shapes = core_shapes(model, geometry)

@@ -73,7 +73,7 @@ class _PathCheck:
         self._distances = Distances(built)
         self._numbers = itertools.count()
         self._pairs = np.flatnonzero(~built.moves)  # where bodies move to nobody knows
-        redundant = [own for own in self._cell.v_slices if own.stop - own.start > 6]
+        redundant = [own for own in self._cell.columns if len(own) > 6]
         free = np.zeros(self._cell.nv, dtype=bool)
         for own in redundant:
             free[own] = True

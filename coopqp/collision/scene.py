@@ -208,6 +208,11 @@ class CollisionScene:
         margins = {pair: margin + clearance for pair, margin in self.margins.items()}
         return replace(self, margin=self.margin + clearance, margins=margins)
 
+    def standing(self, places: Mapping[str, pin.SE3]) -> CollisionScene:
+        """The same bodies, of which those that move stand at places in the world, or where they are by default."""
+        stand = [replace(body, placement=places.get(body.name, body.placement)) for body in self.moving]
+        return replace(self, obstacles=(*self.obstacles, *stand), moving=())
+
     def of_cell(self, cell: RobotCell, grasp: Grasp) -> CollisionScene:
         """The same bodies about other arms or another grasp."""
         return replace(self, cell=cell, grasp=grasp)
@@ -341,6 +346,11 @@ def _others(scene: CollisionScene, convex: ConvexShapes) -> list[Part]:
     return parts
 
 
+def _one_chain(a: str, b: str, robot_of: dict[str, str]) -> bool:
+    """Whether links of two arms are of one: of the same one, or one link is of what an arm shares with others."""
+    return bool(a) and (a == b or robot_of.get(a) == b or robot_of.get(b) == a)
+
+
 def _pairs(scene: CollisionScene, parts: Sequence[Part]) -> list[tuple[int, int]]:
     """Numbers of the parts that keep a distance. What is on the world is one body, but for bodies that move."""
     cell, model = scene.cell, scene.cell.model
@@ -352,6 +362,7 @@ def _pairs(scene: CollisionScene, parts: Sequence[Part]) -> list[tuple[int, int]
         left_out |= {frozenset((f"{arm}/{a}", f"{arm}/{b}")) for a, b in names}
     depth = [len(joints_to(model, part.joint)) for part in parts]
     arm_of = [model.frames[part.frame].name.partition("/")[0] if part.frame else "" for part in parts]
+    robot_of = {name: arm.robot for name, arm in zip(cell.arm_names, cell.arms, strict=True) if arm.shared}
     holds = {name: len(joints_to(model, joint)) for name, joint in zip(cell.arm_names, cell.tool_joints, strict=True)}
     found = []
     for i, a in enumerate(parts):
@@ -366,11 +377,12 @@ def _pairs(scene: CollisionScene, parts: Sequence[Part]) -> list[tuple[int, int]
                 if a.object and b.object:
                     continue
                 carrier = arm_of[i] if a.object else arm_of[j]
-                if carrier != (arm_of[link] or cell.arm_names[0]):
+                own = arm_of[link] in cell.arm_names  # else of the world, or of links that arms share
+                if carrier != (arm_of[link] if own else cell.arm_names[0]):
                     continue
-                if arm_of[link] and holds[arm_of[link]] - depth[link] < scene.rules.object_apart:
+                if own and holds[arm_of[link]] - depth[link] < scene.rules.object_apart:
                     continue
-            elif arm_of[i] and arm_of[i] == arm_of[j] and abs(depth[i] - depth[j]) < scene.rules.apart:
+            elif _one_chain(arm_of[i], arm_of[j], robot_of) and abs(depth[i] - depth[j]) < scene.rules.apart:
                 continue
             found.append((i, j))
     return found

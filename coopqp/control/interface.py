@@ -279,7 +279,7 @@ class ControlStep(Shown):
     @property
     def arm_increments(self) -> Array:
         """Δ^k of Eq. (16) as commanded: displacement of each tool in its own frame during the step (N, 6) [m, rad]."""
-        v = [self.velocity[s] for s in self.cell.v_slices]
+        v = [self.velocity[own] for own in self.cell.columns]
         return np.array([self.state.jacobian(k) @ v[k] * self.dt for k in range(len(self.cell))])
 
     @property

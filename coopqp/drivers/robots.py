@@ -47,6 +47,7 @@ def robots_of(cell: RobotCell, drivers: Mapping[str, RobotDriver]) -> tuple[Robo
     """
     if not isinstance(drivers, Mapping) or not drivers:
         raise InvalidInputError("no drivers", "ControlLoop: drivers", "Give a mapping from arm to driver.")
+    cell.refuse_shared("ControlLoop")
     found: list[Robot] = []
     owner: dict[str, str] = {}
     for name, driver in drivers.items():

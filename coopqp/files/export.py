@@ -199,8 +199,9 @@ def write_bag(recording: Recording, folder: str | Path, *, cell: RobotCell | Non
 
     Topics: ``/joint_states`` and ``/joint_commands`` (``sensor_msgs/JointState``, measured and commanded, with the
     velocities of :func:`knot_velocities`), ``/<arm>/joint_trajectory`` (``trajectory_msgs/JointTrajectory``, one
-    message with the whole command; the stamp 0 means "start now"; continuous joints without jumps) and ``/object_path``
-    (``geometry_msgs/PoseStamped``). Joints have the names ``arm/joint``.
+    message with the whole command; the stamp 0 means "start now"; continuous joints without jumps), ``/object_path``
+    (``geometry_msgs/PoseStamped``) and, if an operator made calls, ``/operator_calls`` (``std_msgs/String``: the name
+    and the values as JSON). Joints have the names ``arm/joint``.
 
     A run of more than :data:`MAX_TRAJECTORY_STEPS` has a trajectory for each such part, at its time in the bag. Each
     begins where the one before ends, mostly in motion: ros2_control plays them with
@@ -268,7 +269,7 @@ class Messages:
     def all(self) -> Iterator[tuple[int, str, Any]]:
         """(nanoseconds, topic, message)."""
         recording, cell = self._recording, self._cell
-        pieces, due = self._pieces(), 0
+        pieces, due, calls = self._pieces(), 0, _calls(recording)
         for part in recording.parts(len(recording.time)):
             measured, commanded = cell.positions(recording.q[part]), cell.positions(recording.q_command[part])
             velocities = knot_velocities(recording, part)
@@ -281,6 +282,8 @@ class Messages:
                 for topic, positions in (("/joint_states", measured), ("/joint_commands", commanded)):
                     yield now, topic, self._state(now, positions[k], velocities[k])
                 yield now, "/object_path", self._pose(now, pin.SE3(recording.reference[i]))
+                if i in calls:
+                    yield now, "/operator_calls", self._make("std_msgs/msg/String", data=calls[i])
 
     def _pieces(self) -> Iterator[tuple[slice, Array]]:
         """Samples and commanded positions of each trajectory, without jumps of a full turn."""
@@ -327,7 +330,7 @@ class Messages:
     def _trajectories(self, piece: slice, positions: Array) -> Iterator[tuple[str, Any]]:
         velocities = knot_velocities(self._recording, piece)
         times = [_nanoseconds(t) for t in self._recording.time[piece] - self._recording.time[piece.start]]
-        for name, own in zip(self._cell.arm_names, self._cell.v_slices, strict=True):
+        for name, own in self._cell.blocks.items():
             points = [
                 self._make(
                     "trajectory_msgs/msg/JointTrajectoryPoint",

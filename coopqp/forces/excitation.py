@@ -69,6 +69,7 @@ def determining_motion(
         UnreachableError: the arms can follow no tilt.
     """
     grasp.check_arms(cell)
+    cell.refuse_shared("determining_motion")
     settings = as_options(CalibrationOptions, options, "determining_motion: options")
     angle = as_scalar(largest, "determining_motion: largest", high=np.pi / 2)
     time = as_scalar(duration, "determining_motion: duration")

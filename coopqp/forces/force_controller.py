@@ -95,6 +95,7 @@ class ForceController(OperatorCalls):
         refuse_motion(controller.path, "ForceController: controller", _ONLY_FIXED)
         self.controller, self.options = controller, options
         self.cell, self.grasp, self.dt = controller.cell, controller.grasp, controller.dt
+        self.cell.refuse_shared("ForceController")
         self._relaxation = Relaxation(
             self.cell, self.grasp, options, dt=controller.dt, shares=controller.shares, kernel=controller.kernel
         )

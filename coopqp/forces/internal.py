@@ -104,6 +104,7 @@ class StressModel:
 
     def __init__(self, cell: RobotCell, grasp: Grasp, *, stiffness: Any) -> None:
         grasp.check_arms(cell)
+        cell.refuse_shared("StressModel")
         self.cell, self.grasp = cell, grasp
         self.stiffness = per_joint(stiffness, cell.nv, "StressModel: stiffness")
 

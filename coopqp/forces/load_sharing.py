@@ -96,6 +96,7 @@ class LoadShare:
         length: float = LENGTH,
     ) -> None:
         grasp.check_arms(cell)
+        cell.refuse_shared("LoadShare")
         require(payload, Payload, "LoadShare: payload", "Give a coopqp.planning.Payload.")
         n = len(cell)
         self.cell, self.grasp, self.payload = cell, grasp, payload

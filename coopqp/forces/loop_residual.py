@@ -38,6 +38,7 @@ class Closure:
     """
 
     def __init__(self, cell: RobotCell, grasp: Grasp, configurations: Array, noise: Array) -> None:
+        cell.refuse_shared("calibrate")
         self.cell, self.grasp = cell, grasp
         self._bases = [arm.T_world_base for arm in cell.arms]
         self._ways: list[list[pin.SE3]] = []  # F_k(q_t)

@@ -59,6 +59,7 @@ class SensorCheck:
         tolerance: float,
         latest: float,
     ) -> None:
+        cell.refuse_shared("SensorCheck")
         self._cell, self._grasp, self._chain = cell, grasp, Chain(cell, grasp)
         self._softness, self._load, self._tolerance, self._latest = softness, load, tolerance, latest
         compliances = self._compliances(q)

@@ -36,6 +36,8 @@ class Arm:
         limits: joint limits.
         visual, collision: geometry models, or None.
         source: origin of the model (a file or a model name), for messages and recordings.
+        robot: name of the :class:`Robot` whose arm it is; empty for an arm that is a robot by itself.
+        shared: names of the joints that it shares with other arms of its robot, as a cell has found them.
     """
 
     name: str
@@ -46,6 +48,8 @@ class Arm:
     visual: pin.GeometryModel | None = None
     collision: pin.GeometryModel | None = None
     source: str = ""
+    robot: str = ""
+    shared: tuple[str, ...] = ()
 
     def __repr__(self) -> str:
         return f"Arm({self.name}: {self.model.nv} joints, tool {self.tool_frame}, {shown(self.source)})"
@@ -202,12 +206,7 @@ class Arm:
             model, shapes = _lock(name, model, shapes, locked_joints)
         _check_joints(name, model)
         _separate_frames(model)
-        if not isinstance(tool_frame, str) or not model.existFrame(tool_frame):
-            names = [f.name for f in model.frames if f.name != "universe"]
-            near = difflib.get_close_matches(str(tool_frame), names, n=len(names), cutoff=0.0)[:12]
-            raise UnknownNameError("frame", str(tool_frame), near, f"arm '{name}' ({source})")
-        if model.frames[model.getFrameId(tool_frame)].parentJoint == 0:
-            raise ModelError(f"arm '{name}': no joint moves the tool frame '{tool_frame}' ({source}).")
+        _check_tool(name, model, tool_frame, source)
         limits = model_limits(name, model, velocity, acceleration, lower, upper)
         return Arm(name, model, tool_frame, base, limits, shapes["visual"], shapes["collision"], source)
 
@@ -220,6 +219,16 @@ class Arm:
             T_world_base=as_placement(T_world_base, f"arm '{name or self.name}': T_world_base"),
         )
 
+    def with_tool(self, tool_frame: str, *, name: str) -> Arm:
+        """Return an arm of the same model with another tool frame and name.
+
+        Raises:
+            InvalidInputError, UnknownNameError, ModelError: as :meth:`from_urdf`.
+        """
+        _check_name(name)
+        _check_tool(name, self.model, tool_frame, self.source)
+        return replace(self, name=name, tool_frame=tool_frame)
+
     def with_limits(self, **changes: ArrayLike) -> Arm:
         """Return a copy with other limits (keywords of :class:`JointLimits`; a scalar applies to every joint)."""
         return replace(self, limits=self.limits.replace(**changes))
@@ -230,6 +239,15 @@ def _check_name(name: Any) -> None:
         raise InvalidInputError(f"{shown(name)} is not a name", "Arm.name", "Give a non-empty name without '/'.")
     if has_controls(name):
         raise InvalidInputError(f"{shown(name)} has control characters", "Arm.name", "Give plain text.")
+
+
+def _check_tool(name: str, model: pin.Model, tool_frame: Any, source: str) -> None:
+    if not isinstance(tool_frame, str) or not model.existFrame(tool_frame):
+        names = [f.name for f in model.frames if f.name != "universe"]
+        near = difflib.get_close_matches(str(tool_frame), names, n=len(names), cutoff=0.0)[:12]
+        raise UnknownNameError("frame", str(tool_frame), near, f"arm '{name}' ({source})")
+    if model.frames[model.getFrameId(tool_frame)].parentJoint == 0:
+        raise ModelError(f"arm '{name}': no joint moves the tool frame '{tool_frame}' ({source}).")
 
 
 def _check_locked(name: str, locked: Any) -> None:

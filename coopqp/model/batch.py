@@ -104,6 +104,7 @@ class ArmKinematics:
     Attributes:
         joints: names of the joints that move the tool, n of them.
         columns: their velocity coordinates in the arm's model (n,).
+        shared: indices of those that other arms share.
         slides: True for prismatic joints (n,).
         lower, upper: position limits (n,) [rad or m], ±inf without.
         bounded: True for joints with both limits (n,).
@@ -136,6 +137,7 @@ class ArmKinematics:
         R[0], p[0] = arm.T_world_base.rotation @ R[0], arm.T_world_base.act(p[0])
         self.joints = tuple(model.names[j] for j in chain)
         self.columns = np.array([model.joints[j].idx_v for j in chain], dtype=np.intp)
+        self.shared = np.array([j for j, name in enumerate(self.joints) if name in arm.shared], dtype=np.intp)
         self.slides = slides != 0.0
         self.continuous = np.array([model.joints[j].nq != model.joints[j].nv for j in chain])
         self.turns = ~self.slides & ~self.continuous

@@ -1,7 +1,8 @@
 """The robot cell: several arms in one Pinocchio model.
 
 The model of each arm is copied and placed at the arm's base. The names of its joints and frames get the arm's name as a
-prefix (``master/joint_1``).
+prefix (``master/joint_1``). Joints that several arms of one robot share are there once, with the robot's name as prefix
+(``tiago/torso_lift_joint``), before the joints of the robot's first arm.
 """
 
 from __future__ import annotations
@@ -14,6 +15,7 @@ from dataclasses import replace
 from typing import TypeVar
 
 import numpy as np
+import numpy.typing as npt
 import pinocchio as pin
 
 from coopqp.checks import ArrayLike, as_tuple, as_vector, require
@@ -21,11 +23,13 @@ from coopqp.errors import InvalidInputError, UnknownNameError
 from coopqp.model.arm import Arm
 from coopqp.model.joint_limits import LIMIT_FIELDS, JointLimits
 from coopqp.model.limits import BindingLimit, LimitKind
+from coopqp.model.robot import Robot
 from coopqp.model.same_joints import without_copies
+from coopqp.model.shared_joints import assemble_shared
 from coopqp.shown import Shown
 from coopqp.spatial import Array
 
-__all__ = ["Arm", "JointLimits", "RobotCell"]
+__all__ = ["Arm", "JointLimits", "Robot", "RobotCell"]
 
 
 #: Most joints that a sentence names.
@@ -44,8 +48,12 @@ class RobotCell(Shown):
         locked: names ``arm/joint`` of joints that were locked where they stand: they do not move the tool of their
             arm, and are joints of another arm, too, as where a robot with two arms is given twice.
         nq, nv: sizes of a configuration and of a velocity of the whole cell.
-        q_slices, v_slices: slice of each arm in a configuration and in a velocity.
-        joint_names: name ``arm/joint`` of each velocity coordinate.
+        q_slices, v_slices: slice of each arm's own joints in a configuration and in a velocity.
+        columns: per arm, the velocity coordinates of all joints of its model (n,): its own, and those that it shares.
+        shared: velocity coordinates of the joints that several arms share (S,): each is there once, before the own
+            joints of its robot's first arm.
+        groups: arms that share joints, the indices of each group; empty without shared joints.
+        joint_names: name ``arm/joint`` of each velocity coordinate, ``robot/joint`` of one that arms share.
         limits: joint limits of the whole cell, shape (nv,) each.
         tool_joints, tool_frames: indices of the joint that carries each tool and of each tool frame.
         T_joint_tool: placement of each tool in the frame of its joint.
@@ -55,27 +63,40 @@ class RobotCell(Shown):
         euclidean: True if no joint is continuous; a displacement is then simply added to a configuration.
 
     Raises:
-        InvalidInputError: no arm, two arms with the same name, or a joint that moves the tools of two arms: joints of
-            the same name and kind at the same place in the world are one joint, which cannot follow two commands.
+        InvalidInputError: no arm, two arms with the same name, or a joint that moves the tools of two arms that are not
+            of one :class:`Robot`: joints of the same name and kind at the same place in the world are one joint, which
+            cannot follow two commands.
     """
 
-    def __init__(self, arms: Iterable[Arm]) -> None:
-        self.arms: tuple[Arm, ...] = as_tuple(arms, "RobotCell", "Give a list of Arm.")
-        if not self.arms:
+    def __init__(self, arms: Iterable[Arm | Robot]) -> None:
+        given = as_tuple(arms, "RobotCell", "Give a list of Arm.")
+        if not given:
             raise InvalidInputError("a cell needs at least one arm", "RobotCell", "Give a list of Arm.")
+        self.arms: tuple[Arm, ...] = tuple(x for y in given for x in (y.arms if isinstance(y, Robot) else (y,)))
         for arm in self.arms:
-            require(arm, Arm, "RobotCell", "Give a list of Arm, built with Arm.from_urdf.")
+            require(arm, Arm, "RobotCell", "Give a list of Arm, built with Arm.from_urdf, or of Robot.")
         self.arm_names = tuple(arm.name for arm in self.arms)
         double = sorted({n for n in self.arm_names if self.arm_names.count(n) > 1})
         if double:
             raise InvalidInputError(f"two arms are named '{double[0]}'", "RobotCell", "Give each arm its own name.")
 
         self.arms, self.locked = without_copies(self.arms)
+        self.groups = _groups(self.arms)
+        clash = sorted({self.arms[group[0]].robot for group in self.groups} & set(self.arm_names))
+        if clash:
+            raise InvalidInputError(f"an arm and a robot are named '{clash[0]}'", "RobotCell", "Rename one of them.")
         self.model = _assemble(self.arms)[0]
         self.nq, self.nv = int(self.model.nq), int(self.model.nv)
-        self.q_slices, self.v_slices = _slices(self.arms, "nq"), _slices(self.arms, "nv")
         self.joint_names = tuple(name for name in self.model.names if name != "universe")
-        self.limits = JointLimits(*(np.concatenate([getattr(a.limits, f) for a in self.arms]) for f in LIMIT_FIELDS))
+        if self.groups:
+            self.columns = tuple(_columns(self.model, arm) for arm in self.arms)
+            self.shared = np.array([j for j, n in enumerate(self.joint_names) if not self._owner(n)], dtype=np.intp)
+            self.q_slices, self.v_slices = self._own_slices()
+        else:
+            self.q_slices, self.v_slices = _slices(self.arms, "nq"), _slices(self.arms, "nv")
+            self.columns = tuple(np.arange(own.start, own.stop) for own in self.v_slices)
+            self.shared = np.zeros(0, dtype=np.intp)
+        self.limits = _limits(self.arms, self.columns, self.nv)
         frames = [self.model.getFrameId(f"{a.name}/{a.tool_frame}") for a in self.arms]
         self.tool_frames = tuple(int(f) for f in frames)
         self.tool_joints = tuple(int(self.model.frames[f].parentJoint) for f in frames)
@@ -121,15 +142,61 @@ class RobotCell(Shown):
         return BindingLimit(arm, joint, kind)
 
     def arm_of_joint(self, j: int) -> int:
-        """Index of the arm of velocity coordinate ``j``."""
-        return next(k for k, s in enumerate(self.v_slices) if s.start <= j < s.stop)
+        """Index of the arm of velocity coordinate ``j``; of a joint that arms share, of the first of them."""
+        return next(k for k, own in enumerate(self.columns) if j in own)
+
+    @property
+    def blocks(self) -> dict[str, slice]:
+        """The velocity coordinates of each arm's own joints, and by a robot's name of those that its arms share."""
+        own = dict(zip(self.arm_names, self.v_slices, strict=True))
+        if not self.groups:
+            return own
+        first = {self.arms[group[0]].robot: group[0] for group in self.groups}
+        out: dict[str, slice] = {}
+        for k, name in enumerate(self.arm_names):
+            robot = self.arms[k].robot
+            if first.get(robot) == k:
+                shared = [j for j in self.shared if self.joint_names[j].startswith(f"{robot}/")]
+                out[robot] = slice(int(shared[0]), int(shared[-1]) + 1)
+            out[name] = own[name]
+        return out
+
+    def refuse_shared(self, where: str) -> None:
+        """Raise where joints that arms share are not known.
+
+        Raises:
+            InvalidInputError: arms of this cell share joints.
+        """
+        if self.groups:
+            group = self.groups[0]
+            arms = " and ".join(f"'{self.arm_names[k]}'" for k in group)
+            joints = ", ".join(f"'{name}'" for name in self.arms[group[0]].shared)
+            raise InvalidInputError(
+                f"arms {arms} share {joints}, and joints that arms share are not known here yet",
+                where,
+                "Lock them where they are to stand: locked_joints of the robot.",
+            )
+
+    def _owner(self, joint_name: str) -> bool:
+        return joint_name.partition("/")[0] in self.arm_names
+
+    def _own_slices(self) -> tuple[tuple[slice, ...], tuple[slice, ...]]:
+        """Slices of the own joints of arms, which follow each other: in a configuration, and in a velocity."""
+        joints = list(self.model.joints)[1:]
+        q_slices, v_slices = [], []
+        for columns in self.columns:
+            own = np.setdiff1d(columns, self.shared)
+            first, last = joints[own[0]], joints[own[-1]]
+            q_slices.append(slice(first.idx_q, last.idx_q + last.nq))
+            v_slices.append(slice(int(own[0]), int(own[-1]) + 1))
+        return tuple(q_slices), tuple(v_slices)
 
     def with_limits(self, **changes: ArrayLike) -> RobotCell:
         """Return a copy with other limits (keywords of :class:`JointLimits`; a scalar or shape (nv,))."""
         limits = self.limits.replace(**changes)
         return RobotCell(
-            replace(arm, limits=JointLimits(*(getattr(limits, f)[s] for f in LIMIT_FIELDS)))
-            for arm, s in zip(self.arms, self.v_slices, strict=True)
+            replace(arm, limits=JointLimits(*(getattr(limits, f)[own] for f in LIMIT_FIELDS)))
+            for arm, own in zip(self.arms, self.columns, strict=True)
         )
 
     def moved(self, q: Array, displacement: Array) -> Array:
@@ -242,6 +309,34 @@ def _slices(arms: Sequence[Arm], size: str) -> tuple[slice, ...]:
     return tuple(slice(int(a), int(b)) for a, b in itertools.pairwise(ends))
 
 
+def _groups(arms: Sequence[Arm]) -> tuple[tuple[int, ...], ...]:
+    """Arms that share joints: the indices of each group, in the order of the arms."""
+    sharing: dict[str, list[int]] = {}
+    for k, arm in enumerate(arms):
+        if arm.shared:
+            sharing.setdefault(arm.robot, []).append(k)
+    return tuple(tuple(group) for group in sharing.values())
+
+
+def _columns(model: pin.Model, arm: Arm) -> npt.NDArray[np.intp]:
+    """The velocity coordinates of the joints of an arm's model in a cell's model."""
+    names = list(arm.model.names)[1:]
+    ids = [model.getJointId(f"{arm.robot if name in arm.shared else arm.name}/{name}") for name in names]
+    return np.array([model.joints[i].idx_v for i in ids], dtype=np.intp)
+
+
+def _limits(arms: Sequence[Arm], columns: Sequence[npt.NDArray[np.intp]], nv: int) -> JointLimits:
+    """The limits of all joints; of a joint that arms share the tightest that an arm has."""
+    fields = {}
+    for field in LIMIT_FIELDS:
+        lower = field == "lower"
+        values = np.full(nv, -np.inf if lower else np.inf)
+        for arm, own in zip(arms, columns, strict=True):
+            values[own] = (np.maximum if lower else np.minimum)(values[own], getattr(arm.limits, field))
+        fields[field] = values
+    return JointLimits(**fields)
+
+
 def _prefixed(arm: Arm, kind: str | None) -> tuple[pin.Model, pin.GeometryModel]:
     model = pin.Model(arm.model)
     if hasattr(model, "lowerVelocityLimit"):  # Pinocchio 4: of a joint that was added, it lies above the upper one
@@ -259,6 +354,8 @@ def _prefixed(arm: Arm, kind: str | None) -> tuple[pin.Model, pin.GeometryModel]
 
 def _assemble(arms: Sequence[Arm], kind: str | None = None) -> tuple[pin.Model, pin.GeometryModel]:
     model, geometry = pin.Model(), pin.GeometryModel()
+    if any(arm.shared for arm in arms):
+        return assemble_shared(arms, kind)
     for arm in arms:
         own_model, own_geometry = _prefixed(arm, kind)
         model, geometry = pin.appendModel(model, own_model, geometry, own_geometry, 0, arm.T_world_base)

@@ -4,6 +4,9 @@ Twists of the object are given in the *reference object frame* R: ``A_k v_k`` is
 carries it. Jacobians ``J_k`` give twists at a point that moves with the object, in world axes: with the origin of R as
 that point ``A_k = blockdiag(Rᵀ, Rᵀ) J_k``, for any grasp: the grasp only enters the poses. No singular value
 depends on where the world's origin is. See docs/derivations.md; the core's counterpart is ``chain.cpp``.
+
+Arms that share joints are one redundant arm, whose tools are those of all of them: its Jacobian has the rows of every
+arm of the group, its least motion the least ``Σ (v_j / scale_j)²`` of all their joints, each counted once.
 """
 
 from __future__ import annotations
@@ -30,12 +33,14 @@ class Chain:
 
     Attributes:
         moving_columns: per arm, the velocity coordinates that move its tool; only those count as its joints here.
+        parts: what moves by itself: the arms of each group that share joints, and every other arm alone.
+        part_columns: per part, the velocity coordinates that move its tools.
         scale: unit of each joint, its largest speed (nv,) [rad/s or m/s]; 1 for arms with six joints, whose inverse
             does not depend on it.
-        redundancy: joints beyond six, summed over the arms.
+        redundancy: joints beyond six for each arm, summed over the parts.
         deficient: indices of arms with fewer than six joints.
         jacobians: J_k of each arm (6, n_k), after :meth:`evaluate`.
-        inverses: their (pseudo-)inverses (n_k, 6), after :meth:`invert`.
+        inverses: (pseudo-)inverses of the parts' Jacobians (n, 6 K), K arms, after :meth:`invert`.
         singular: an arm was near a singularity there.
     """
 
@@ -45,14 +50,18 @@ class Chain:
         self.n_arms, self.nv = len(cell), cell.nv
         self._data = cell.model.createData()
         self.shift_grasp(np.zeros((self.n_arms, 6)))
-        self.moving_columns = moving_columns(cell)
+        self.moving_columns, self.parts, self.part_columns = moving_columns(cell), parts(cell), part_columns(cell)
         self.scale = _joint_units(cell)
-        sizes = [len(columns) for columns in self.moving_columns]
-        self.redundancy = sum(max(n - 6, 0) for n in sizes)
-        self.deficient = tuple(k for k, n in enumerate(sizes) if n < 6)
+        self.redundancy = sum(self._further)
+        self.deficient = tuple(k for k, columns in enumerate(self.moving_columns) if len(columns) < 6)
         self.jacobians: list[Array] = []
         self.inverses: list[Array] = []
         self.singular = False
+
+    @property
+    def _further(self) -> list[int]:
+        """Joints of each part that its tools do not need."""
+        return [max(len(c) - 6 * len(part), 0) for part, c in zip(self.parts, self.part_columns, strict=True)]
 
     def shift_grasp(self, shift: Array) -> None:
         """The tools hold the object shifted from now on: ``exp(d_k) X_k`` for each d_k of (N, 6) [m, rad]."""
@@ -88,13 +97,28 @@ class Chain:
         self.evaluate(q, about)
         self.invert()
 
+    def part_jacobian(self, i: int) -> Array:
+        """The Jacobian of a part (6 K, n): of its arm, or of all arms of its group one below the other."""
+        return self.stacked(i, self.jacobians)
+
+    def stacked(self, i: int, own: Sequence[Array]) -> Array:
+        """Matrices (6, n_k) of all arms, or other rows per joint of theirs, as one for part ``i`` (6 K, n)."""
+        arms = self.parts[i]
+        if len(arms) == 1:
+            return own[arms[0]]
+        columns = self.part_columns[i]
+        rows = np.zeros((len(arms), len(own[arms[0]]), len(columns)))
+        for block, k in zip(rows, arms, strict=True):
+            block[:, np.searchsorted(columns, self.moving_columns[k])] = own[k]
+        return rows.reshape(-1, len(columns))
+
     def invert(self) -> None:
         """Invert the Jacobians.
 
-        More than six joints take the least Σ (v_j / scale_j)² that makes a twist; fewer follow a part of it.
+        More joints than the tools need take the least Σ (v_j / scale_j)² that makes a twist; fewer follow a part of it.
         """
-        units = [self.scale[columns] for columns in self.moving_columns]
-        self.inverses = [_inverse(J, unit) for J, unit in zip(self.jacobians, units, strict=True)]
+        units = [self.scale[columns] for columns in self.part_columns]
+        self.inverses = [_inverse(self.part_jacobian(i), unit) for i, unit in enumerate(units)]
         self.singular = not all(np.abs(inverse).max() < LARGE_INVERSE for inverse in self.inverses)
 
     def joint_velocities(self, W: Array) -> Array:
@@ -108,7 +132,8 @@ class Chain:
         """
         out = np.zeros((self.nv, T.shape[-1]))
         own_twists = np.broadcast_to(T, (self.n_arms, *T.shape[-2:]))
-        for columns, inverse, twists in zip(self.moving_columns, self.inverses, own_twists, strict=True):
+        for arms, columns, inverse in zip(self.parts, self.part_columns, self.inverses, strict=True):
+            twists = own_twists[arms[0]] if len(arms) == 1 else own_twists[list(arms)].reshape(6 * len(arms), -1)
             out[columns] = inverse @ twists
         return out
 
@@ -131,16 +156,28 @@ class Chain:
         back. Other singularities are passed without: h is 0 there, the edge far.
         """
         out = np.full(self.nv, FAR_EDGE)
-        for J, columns in zip(self.jacobians, self.moving_columns, strict=True):
-            if len(columns) < 6:
+        for i, columns in enumerate(self.part_columns):
+            J = self.part_jacobian(i)
+            if len(columns) < len(J):
                 continue
             eigenvalues, eigenvectors = np.linalg.eigh(J @ J.T)
             least, u = max(eigenvalues[0], 0.0), eigenvectors[:, 0]
             v = u @ J
-            h = u @ jacobian_slope(J, v) @ v
+            h = u @ self.part_slope(i, v) @ v
             farthest = least**1.5 / FAR_EDGE  # |v| is √λ
             out[columns] = -least / np.copysign(max(abs(h), farthest, np.finfo(float).tiny), h) * v
         return out
+
+    def part_slope(self, i: int, v: Array) -> Array:
+        """``J′ = Σ_j v_j ∂_j J`` of a part (6 K, n), for velocities of its joints (n,)."""
+        arms, columns = self.parts[i], self.part_columns[i]
+        if len(arms) == 1:
+            return jacobian_slope(self.jacobians[arms[0]], v)
+        own = [np.searchsorted(columns, self.moving_columns[k]) for k in arms]
+        slopes = list(self.jacobians)
+        for k, at in zip(arms, own, strict=True):
+            slopes[k] = jacobian_slope(self.jacobians[k], v[at])
+        return self.stacked(i, slopes)
 
     def compliances(self, softness: Array) -> Array:
         """``J_k diag(softness) J_kᵀ``, (N, 6, 6): by how much the object gives way to a wrench on arm k.
@@ -155,19 +192,18 @@ class Chain:
     def null_part(self, v: Array) -> Array:
         """The part of joint velocities ``v`` (nv,) that does not move the object: ``v − A⁺ A v``."""
         out = np.zeros(self.nv)
-        for J, inverse, columns in zip(self.jacobians, self.inverses, self.moving_columns, strict=True):
-            if len(columns) > 6:
-                out[columns] = v[columns] - inverse @ (J @ v[columns])
+        for i, (inverse, columns) in enumerate(zip(self.inverses, self.part_columns, strict=True)):
+            if self._further[i]:
+                out[columns] = v[columns] - inverse @ (self.part_jacobian(i) @ v[columns])
         return out
 
     def null_basis(self) -> Array:
         """Basis of the motions that leave the object at rest, (nv, redundancy), orthonormal in the joints' units."""
         basis, c = np.zeros((self.nv, self.redundancy)), 0
-        for J, columns in zip(self.jacobians, self.moving_columns, strict=True):
-            extra = max(len(columns) - 6, 0)
+        for i, (extra, columns) in enumerate(zip(self._further, self.part_columns, strict=True)):
             if extra:
-                unit = self.scale[columns]
-                basis[columns, c : c + extra] = unit[:, None] * np.linalg.svd(J * unit)[2][6:].T
+                J, unit = self.part_jacobian(i), self.scale[columns]
+                basis[columns, c : c + extra] = unit[:, None] * np.linalg.svd(J * unit)[2][len(J) :].T
                 c += extra
         return basis
 
@@ -212,11 +248,29 @@ def moving_columns(cell: RobotCell) -> tuple[npt.NDArray[np.intp], ...]:
     return tuple(columns)
 
 
+def parts(cell: RobotCell) -> tuple[tuple[int, ...], ...]:
+    """What moves by itself: the arms of each group that share joints, and every other arm alone, by its first arm."""
+    grouped = {k for group in cell.groups for k in group}
+    return tuple(sorted([*cell.groups, *((k,) for k in range(len(cell)) if k not in grouped)]))
+
+
+@of_cell
+def part_columns(cell: RobotCell) -> tuple[npt.NDArray[np.intp], ...]:
+    """Per part, the velocity coordinates that move its tools."""
+    columns = moving_columns(cell)
+    return tuple(np.unique(np.concatenate([columns[k] for k in part])) for part in parts(cell))
+
+
+def is_redundant(cell: RobotCell) -> bool:
+    """Whether a part has more joints than its tools need."""
+    return any(len(c) > 6 * len(part) for part, c in zip(parts(cell), part_columns(cell), strict=True))
+
+
 @of_cell
 def _joint_units(cell: RobotCell) -> Array:
     speed = np.where(np.isfinite(cell.limits.velocity), cell.limits.velocity, 1.0)
     units = np.ones(cell.nv)
-    for columns in moving_columns(cell):
-        if len(columns) != 6:
+    for part, columns in zip(parts(cell), part_columns(cell), strict=True):
+        if len(columns) != 6 * len(part):
             units[columns] = speed[columns]
     return read_only(units)

@@ -13,7 +13,7 @@ import numpy as np
 import pinocchio as pin
 
 from coopqp.checks import ArrayLike, as_scalar, as_vector, require
-from coopqp.errors import InvalidInputError
+from coopqp.errors import InvalidInputError, UnknownNameError
 from coopqp.model.cell import RobotCell
 from coopqp.model.state import CellState
 from coopqp.spatial import Array, Placement, adjoint, as_placement, as_placements
@@ -31,15 +31,47 @@ def triangle_frames(alpha: float, beta: float) -> tuple[Array, Array]:
     return K_B, K_C
 
 
+#: Directions of a tool in which a grasp may give way: slides along its axes, and turns about them.
+AXES = ("x", "y", "z", "rx", "ry", "rz")
+
+
+@dataclass(frozen=True)
+class Free:
+    """A direction in which a grasp gives way.
+
+    Attributes:
+        arm: name of the arm.
+        axis: one of :data:`AXES`, of its tool.
+        low, high: how far it gives way [m or rad].
+    """
+
+    arm: str
+    axis: str
+    low: float
+    high: float
+
+    @property
+    def turns(self) -> bool:
+        """Whether it is a turn."""
+        return self.axis.startswith("r")
+
+    def column(self, T_object_tool: pin.SE3) -> Array:
+        """Its unit twist in the object frame (6,)."""
+        twist: Array = adjoint(T_object_tool)[:, AXES.index(self.axis)]
+        return twist
+
+
 @dataclass(frozen=True, eq=False)
 class Grasp:
     """Fixed placements of the tools on the object.
 
     Attributes:
         T_object_tool: placement of each arm's tool in the object frame, in the order of the cell's arms.
+        free: directions in which it gives way, see :meth:`freed`.
     """
 
     T_object_tool: tuple[pin.SE3, ...]
+    free: tuple[Free, ...] = ()
 
     def __post_init__(self) -> None:
         placements = as_placements(self.T_object_tool, "Grasp.T_object_tool")
@@ -111,9 +143,39 @@ class Grasp:
                     )
         return latched
 
+    def freed(self, arm: str, axis: str, *, range: tuple[float, float]) -> Grasp:
+        """The same grasp, which gives way in a direction of an arm's tool: a hinge, a slider; three turns are a ball.
+
+        A cell takes it after :func:`coopqp.model.freed_cell`, which makes passive joints of all free directions.
+
+        Args:
+            arm: name of the arm.
+            axis: a slide along "x", "y", "z" or a turn "rx", "ry", "rz" about an axis of its tool.
+            range: lowest and highest position [m or rad]; the placement of the grasp is at 0.
+
+        Raises:
+            UnknownNameError: no such axis.
+            InvalidInputError: 0 is not inside the range, or the direction is free already.
+        """
+        where = f"Grasp.freed: {arm}, {axis}"
+        if axis not in AXES:
+            raise UnknownNameError("axis", str(axis), AXES, "Grasp.freed")
+        low, high = (as_scalar(x, where, low=-np.inf) for x in range)
+        if not low < 0.0 < high:
+            raise InvalidInputError(f"the range is {low:g} to {high:g}", where, "Give one with 0 inside.")
+        if any(free.arm == arm and free.axis == axis for free in self.free):
+            raise InvalidInputError("it is free already", where, "Free each direction once.")
+        return Grasp(self.T_object_tool, (*self.free, Free(arm, axis, low, high)))
+
     def check_arms(self, cell: RobotCell) -> None:
         """Raise InvalidInputError unless there is one placement per arm of ``cell``."""
         require(cell, RobotCell, "cell", "Give a RobotCell.")
+        if self.free:
+            raise InvalidInputError(
+                f"the grasp of arm '{self.free[0].arm}' gives way in {self.free[0].axis}",
+                "Grasp",
+                "Give the cell and the grasp of coopqp.model.freed_cell(cell, grasp).",
+            )
         if len(self) != len(cell):
             raise InvalidInputError(
                 f"{len(self)} placements for {len(cell)} arms", "Grasp", "Give one T_object_tool per arm."

@@ -113,7 +113,7 @@ def _is_outside(cell: RobotCell, x: Array, columns: Any) -> bool:
 def _inside_limits(arm: Arm, T_world_tool: pin.SE3, x: Array, q0: Array, cell: RobotCell, k: int) -> Array:
     """The branch of an arm inside its limits that is nearest to the start, (n,)."""
     kinematics = ArmKinematics(arm)
-    columns = cell.v_slices[k].start + kinematics.columns
+    columns = cell.columns[k][kinematics.columns]
     start = cell.positions(q0)[columns]
     branches = find_branches(kinematics, T_world_tool, near=x[None, columns])
     inside = [q for b in branches.q[branches.inside] for q in all_turns(kinematics, b)]

@@ -47,6 +47,9 @@ class Posture:
         self._redundant = np.zeros(cell.nv, dtype=bool)
         for _, s in self._arms:
             self._redundant[s] = True
+        for group in cell.groups:
+            for k in group:
+                self._redundant[cell.columns[k]] = True
         limits = cell.limits
         bounded = np.isfinite(limits.lower) & np.isfinite(limits.upper) & self._redundant
         self._bounded = np.flatnonzero(bounded)

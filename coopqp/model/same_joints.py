@@ -2,7 +2,8 @@
 
 A description with two arms holds every joint of the robot. Given twice, as an arm with the left tool and as one with
 the right tool, each of its joints is there twice, and would get two commands. A joint is the same one if its name, its
-kind and its place in the world are the same, with all joints at zero.
+kind and its place in the world are the same, with all joints at zero. Arms of one :class:`coopqp.Robot` may share
+joints: a cell has each of them once.
 """
 
 from __future__ import annotations
@@ -24,6 +25,8 @@ from coopqp.spatial import Array
 _SAME = 1e-6
 #: Most joints that a message names.
 _NAMED = 6
+#: Fewest joints of its own of an arm that shares others: the object's motion leaves it no choice of the shared ones.
+_LEAST_OWN = 6
 
 
 @dataclass(frozen=True, eq=False)
@@ -37,6 +40,7 @@ class _Joint:
         place: its frame in the world (4, 4), with all joints at zero.
         axis: its twist in that frame (6,).
         carries: True if it moves the tool.
+        behind: number of joints before it that move the tool.
     """
 
     arm: int
@@ -46,6 +50,7 @@ class _Joint:
     place: Array
     axis: Array
     carries: bool
+    behind: int
 
     def is_same(self, other: _Joint) -> bool:
         """Same name, kind, place and axis."""
@@ -55,6 +60,10 @@ class _Joint:
             and bool(np.abs(self.place - other.place).max() <= _SAME)
             and bool(np.abs(self.axis - other.axis).max() <= _SAME)
         )
+
+    def gives_way_to(self, other: _Joint) -> bool:
+        """Whether this joint, which moves no tool, is left to another arm: to that on whose chain it stands."""
+        return other.carries or (other.behind, -other.arm) > (self.behind, -self.arm)
 
     def is_locked_as(self, fixed: _Fixed) -> bool:
         """The fixed frame is where this joint moves its own frame to at some position."""
@@ -90,19 +99,54 @@ def without_copies(arms: Sequence[Arm]) -> tuple[tuple[Arm, ...], tuple[str, ...
         InvalidInputError: a joint moves the tools of two arms, or is locked in one of them only, or elsewhere.
     """
     if len(arms) < 2:
-        return tuple(arms), ()
+        return tuple(replace(arm, shared=()) if arm.shared else arm for arm in arms), ()
     joints = [_joints(k, arm) for k, arm in enumerate(arms)]
     fixed = [_fixed(arm) for arm in arms]
+    shared: list[set[str]] = [set() for _ in arms]
     for a, b in itertools.combinations(range(len(arms)), 2):
-        _refuse_shared((arms[a], arms[b]), (joints[a], joints[b]), (fixed[a], fixed[b]))
+        if arms[a].robot and arms[a].robot == arms[b].robot:
+            both = _shared_by((arms[a], arms[b]), (joints[a], joints[b]))
+            shared[a] |= both
+            shared[b] |= both
+        else:
+            _refuse_shared((arms[a], arms[b]), (joints[a], joints[b]), (fixed[a], fixed[b]))
     out: list[Arm] = []
     locked: list[str] = []
     for k, arm in enumerate(arms):
-        others = [joint for own in joints for joint in own if joint.arm != k and (joint.carries or joint.arm < k)]
-        twice = [j for j in joints[k] if not j.carries and any(j.is_same(other) for other in others)]
-        out.append(_reduced(arm, twice) if twice else arm)
+        others = [joint for own in joints for joint in own if joint.arm != k]
+        twice = [j for j in joints[k] if not j.carries and any(j.gives_way_to(o) and j.is_same(o) for o in others)]
+        alone = _reduced(arm, twice) if twice else arm
+        names = tuple(joint.name for joint in joints[k] if joint.name in shared[k])
+        out.append(alone if alone.shared == names else replace(alone, shared=names))
         locked += [f"{arm.name}/{joint.name}" for joint in twice]
     return tuple(out), tuple(locked)
+
+
+def _shared_by(arms: tuple[Arm, Arm], joints: tuple[list[_Joint], list[_Joint]]) -> set[str]:
+    """Names of the joints that move the tools of two arms of one robot.
+
+    Raises:
+        InvalidInputError: the arms stand on two bases, or one of them has no joint of its own.
+    """
+    if np.abs(arms[0].T_world_base.homogeneous - arms[1].T_world_base.homogeneous).max() > _SAME:
+        raise InvalidInputError(
+            f"arms '{arms[0].name}' and '{arms[1].name}' of robot '{arms[0].robot}' stand on two bases",
+            "RobotCell",
+            "Move the whole robot: give it another T_world_base.",
+        )
+    first, second = ([joint for joint in own if joint.carries] for own in joints)
+    both = {a.name for a in first if any(a.is_same(b) for b in second)}
+    for arm, own in zip(arms, (first, second), strict=True):
+        left = len(own) - len(both)
+        if both and left < _LEAST_OWN:
+            locks = _locks(arm, [joint for joint in own if joint.name in both])
+            raise InvalidInputError(
+                f"arm '{arm.name}' of robot '{arm.robot}' has {left} joints that move no other arm's tool; an arm that "
+                f"shares joints needs {_LEAST_OWN} of its own",
+                "RobotCell",
+                f"Choose another tool frame, or lock what it shares: {locks}.",
+            )
+    return both
 
 
 def _joints(k: int, arm: Arm) -> list[_Joint]:
@@ -113,7 +157,8 @@ def _joints(k: int, arm: Arm) -> list[_Joint]:
     for i, axis in enumerate(joint_axes(model), start=1):
         place = (arm.T_world_base * data.oMi[i]).homogeneous
         slides = bool(np.linalg.norm(axis[3:]) < 0.5)
-        out.append(_Joint(k, i, model.names[i], slides, place, axis, i in carrying))
+        behind = len(carrying & set(model.supports[i]))
+        out.append(_Joint(k, i, model.names[i], slides, place, axis, i in carrying, behind))
     return out
 
 
@@ -146,7 +191,7 @@ def _refuse_shared(
             f"{said} {'moves' if one else 'move'} the tools of {names}: same name, kind and place in the world, so "
             f"{'it is one joint' if one else 'they are joints'} of one robot and would get two commands",
             "RobotCell",
-            f"Lock {'it' if one else 'them'} in both arms: {remedy}.",
+            f"Lock {'it' if one else 'them'} in both arms: {remedy}. Or give both as arms of one robot: coopqp.Robot.",
         )
     for (free, held), own, other in (((0, 1), first, fixed[1]), ((1, 0), second, fixed[0])):
         for joint in own:
@@ -195,9 +240,9 @@ def _reduced(arm: Arm, joints: list[_Joint]) -> Arm:
     shapes = []
     for kept in (arm.visual, arm.collision):
         geometry = pin.GeometryModel() if kept is None else kept.copy()
-        for shape in list(geometry.geometryObjects):
-            if ids & set(model.supports[shape.parentJoint]):
-                geometry.removeGeometryObject(shape.name)
+        carried = [shape.name for shape in geometry.geometryObjects if ids & set(model.supports[shape.parentJoint])]
+        for name in carried:  # each removal moves the others
+            geometry.removeGeometryObject(name)
         shapes.append(geometry)
     stay = np.array([v for i in range(1, model.njoints) if i not in ids for v in [model.joints[i].idx_v]], dtype=int)
     limits = JointLimits(*(getattr(arm.limits, field)[stay] for field in LIMIT_FIELDS))

@@ -48,13 +48,16 @@ class CellState:
         self._J = np.array(pin.computeJointJacobians(cell.model, data, self.q))  # twists at the world's origin
         self.T_world_tool = tuple(data.oMi[j] * X for j, X in zip(cell.tool_joints, cell.T_joint_tool, strict=True))
 
+    def _own(self, k: int) -> Any:
+        return self.cell.columns[k] if self.cell.groups else self.cell.v_slices[k]  # a slice makes no copy
+
     def jacobian(self, arm: str | int, frame: pin.ReferenceFrame = pin.LOCAL) -> Array:
         """Jacobian J of an arm's tool, shape (6, n): tool twist = J · joint velocities of the arm.
 
         ``frame`` selects the frame of the twist: LOCAL (the tool frame), LOCAL_WORLD_ALIGNED, or WORLD.
         """
         k = self.cell.index(arm)
-        J, T = self._J[:, self.cell.v_slices[k]], self.T_world_tool[k]
+        J, T = self._J[:, self._own(k)], self.T_world_tool[k]
         if frame == pin.WORLD:
             return J.copy()
         seen = T if frame == pin.LOCAL else pin.SE3(np.eye(3), T.translation)

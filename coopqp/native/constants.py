@@ -98,6 +98,7 @@ NEWTON_STEPS_AT_START = 1000  # Newton steps that a reset may take
 LONGEST_WAY = 300  # knots of a way past a singularity
 KINK_CELL = 2e-3  # where an interval this short is too long, a user's path or its twist may jump [s]
 SAME_CLOCK = 1e-9  # clocks this close to each other are the same [s]
+SAME_AXIS = 1e-24  # turns are about one axis where the squared sine of the angle between their axes is below this
 KINK_WIDTH = 2.5e-11  # a twist that changes within so short a time jumps there [s],
 KINK_SHARE = 0.5  # by more than this share of its change,
 LEAST_KINK = 1e-9  # and by more than this [m/s]

@@ -163,17 +163,35 @@ static double found_by_seeking(const Core *c, int pose) {
     return there > (pose ? share : maximum(share, LEAST_KINK)) ? there : 0.0;
 }
 
+/* Turn and displacement between two clocks where the axis of the turn stays: on a segment, or on it and the next one, as
+ * the many pieces of a plan along a line follow each other. */
+static int along_one_axis(const Core *c, double from, double to, Vector3 &omega, Vector3 &moved) {
+    double end;
+    if (!count_of(c, 2)) return 0;
+    const double *segment = segment_at(c, from, &end);
+    if (has_ramps(segment)) return 0;
+    const Eigen::Map<const Vector3> turn(segment + 12), way(segment + 15);
+    const double gain = (to <= end ? place_on(segment, to).u : 1.0) - place_on(segment, from).u;
+    omega = gain * turn, moved = gain * way;
+    if (to <= end) return 1;
+    const double *next = segment + SEGMENT, *after = next + SEGMENT;
+    const double *last = c->path_numbers + 3 + count_of(c, 1) + SEGMENT * (count_of(c, 2) - 1);
+    if (has_ramps(next) || (next < last && to > after[18])) return 0;
+    const Eigen::Map<const Vector3> turn_on(next + 12), way_on(next + 15);
+    if (turn.cross(turn_on).squaredNorm() > SAME_AXIS * turn.squaredNorm() * turn_on.squaredNorm()) return 0;
+    const double more = place_on(next, to).u;
+    omega += more * turn_on, moved += more * way_on;
+    return 1;
+}
+
 static int path_increment(Core *c, double clock, double span, const Pose &T, Ref6 twist) {
     twist.setZero();
     if (!(span > 1e-12)) return 1;
-    double end;
-    const double *segment = count_of(c, 2) ? segment_at(c, clock, &end) : nullptr;
-    if (segment && clock + span <= end && !has_ramps(segment)) { /* log of one screw is known */
-        const double gain = place_on(segment, clock + span).u - place_on(segment, clock).u;
-        const Vector3 omega = gain * Eigen::Map<const Vector3>(segment + 12);
+    Vector3 omega, moved;
+    if (along_one_axis(c, clock, clock + span, omega, moved)) { /* log of one screw is known */
         const double t2 = omega.squaredNorm(), t = sqrt(t2);
         const double third = t2 < 1e-4 ? 1.0 / 12 + t2 * (1.0 / 720 + t2 / 30240) : (1.0 - 0.5 * t / tan(0.5 * t)) / t2;
-        twist = both(unroll(omega, third, gain * (T.R.transpose() * Eigen::Map<const Vector3>(segment + 15))), omega);
+        twist = both(unroll(omega, third, T.R.transpose() * moved), omega);
     } else {
         Pose later;
         if (!path_pose(c, clock + span, later) || !log6(between(T, later), twist)) return 0;

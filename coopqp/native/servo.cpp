@@ -104,20 +104,20 @@ static int jumps(const Core *c, const double *velocity) {
 }
 
 /* Try a path from the present clock on at a rate: 1 if its first step keeps to it, and no joint jumps; the joints may force
- * a rate above the cap. What was known ahead stays in the ring. */
-static int admits(Core *c, const double *numbers, double rate, int needed) {
+ * a rate above the cap. Rows of constraints here are in place. What was known ahead stays in the ring. */
+static int admits(Core *c, const double *numbers, double rate, int needed, int rows) {
     const int kept = (int)c->ahead->count + (int)c->ahead->way + 2;
     c->path_numbers = numbers;
     c->loop->rate = rate, c->loop->rate_slope = 0.0;
     if (c->looks_ahead) preview_try(c, c->loop->clock, kept, 0);
     if (!needed) return 1;
     observe(c, nullptr, nullptr);
-    c->further_rows = 0;
+    c->given_rows = rows;
     const int found = propose(c) < FILLED;
     return found && fmin(c->proposal->cap, c->proposal->new_rate) >= rate - RATE_TOLERANCE && !jumps(c, c->command);
 }
 
-static int go_over(Core *c, const double *goal, double speed, double spin, double full, double *numbers) {
+static int go_over(Core *c, const double *goal, double speed, double spin, double full, double *numbers, int rows) {
     const double clock = c->loop->clock, now = c->loop->rate, *present = c->path_numbers;
     Vector6 twist;
     Way w;
@@ -135,8 +135,10 @@ static int go_over(Core *c, const double *goal, double speed, double spin, doubl
         double *segment = numbers + 4;
         if (!way_to(c, &w, clock, segment)) return -1;
         numbers[0] = c->duration, numbers[1] = numbers[2] = 1.0, numbers[3] = clock + segment[19];
-        const int taken = admits(c, numbers, rate, !rests);
+        const int taken = admits(c, numbers, rate, !rests, rows);
+        const double quiet_ahead = c->loop->quiet_ahead; /* of the region that is known now */
         *c->loop = loop;
+        c->loop->quiet_ahead = quiet_ahead;
         if (taken) {
             c->loop->rate = rate, c->loop->rate_slope = 0.0, c->ahead->kept = 0.0;
             return 1;

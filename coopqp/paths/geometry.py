@@ -140,12 +140,12 @@ class Straight(Piece):
 
     def part(self, start: float, end: float) -> Straight:
         """The piece from ``start`` to ``end`` [m]."""
-        R, p = self.poses(np.array([start]))
+        T = self.pose(start)
         share = (end - start) / self.length
-        return Straight(R[0], p[0], share * self.turn, share * self.way, end - start)
+        return Straight(T.rotation, T.translation, share * self.turn, share * self.way, end - start)
 
 
-def _ramp(x: _Number) -> tuple[_Number, _Number, _Number]:
+def ramp(x: _Number) -> tuple[_Number, _Number, _Number]:
     """A ramp β from 0 at x = −1 to x = 1 at x = 1 with its first two derivatives; α = x − β is its mirror.
 
     β′ is the cubic smooth step, so β joins its lines with continuous second derivative.
@@ -182,7 +182,7 @@ class Blend(Piece):
     def poses(self, s: Array) -> tuple[Array, Array]:
         """See :class:`Piece`."""
         x = 2.0 * s / self.length - 1.0
-        b = _ramp(x)[0]
+        b = ramp(x)[0]
         a, b = (y[:, None] for y in (x - b, b))
         R = self.R @ rotations(a * self.turns[0]) @ rotations(b * self.turns[1])
         return R, self.p + a * self.ways[0] + b * self.ways[1]
@@ -191,7 +191,7 @@ class Blend(Piece):
         """See :class:`Piece`. In world axes ω = R_C (α′ w_0 + β′ exp(α w_0) w_1)."""
         half = 0.5 * self.length
         x = s / half - 1.0
-        b, db, ddb = (y[:, None] for y in _ramp(x))
+        b, db, ddb = (y[:, None] for y in ramp(x))
         a, da = x[:, None] - b, 1.0 - db
         (e0, e1), w0 = self.ways, self.turns[0]
         w1 = rotations(a * w0) @ self.turns[1]
@@ -212,9 +212,9 @@ class Blend(Piece):
         """
         half = 0.5 * self.length
         x, y = low / half - 1.0, high / half - 1.0
-        a = np.abs(x - _ramp(x)[0])
-        da, db = 1.0 - _ramp(x)[1], _ramp(y)[1]
-        ddb = _ramp(np.clip(0.0, x, y))[2]
+        a = np.abs(x - ramp(x)[0])
+        da, db = 1.0 - ramp(x)[1], ramp(y)[1]
+        ddb = ramp(np.clip(0.0, x, y))[2]
         dddb = 1.5 * np.maximum(np.abs(x), np.abs(y))
         (e0, e1), (w0, w1) = self.ways, self.turns
         size_e0, size_e1, size_w0, size_w1 = (float(np.linalg.norm(v)) for v in (e0, e1, w0, w1))
@@ -231,7 +231,7 @@ class Blend(Piece):
     def pose(self, s: float) -> pin.SE3:
         """See :class:`Piece`; a fifth of the time."""
         x = 2.0 * s / self.length - 1.0
-        b = _ramp(x)[0]
+        b = ramp(x)[0]
         R = self.R.dot(pin.exp3((x - b) * self.turns[0])).dot(pin.exp3(b * self.turns[1]))
         return pin.SE3(R, self.p + (x - b) * self.ways[0] + b * self.ways[1])
 
@@ -360,9 +360,9 @@ def blended(lines: Sequence[Straight], *, distance: float | Array, angle: float 
             pieces.append(line.part(cuts[i], line.length - cuts[i + 1]))
         half = cuts[i + 1]
         if half > 0.0:
-            R, p = line.poses(np.array([line.length]))
+            T = line.pose(line.length)
             both = line, lines[i + 1]
             turns = np.array([half / x.length * x.turn for x in both])
             ways = np.array([half / x.length * x.way for x in both])
-            pieces.append(Blend(R[0], p[0], turns, ways, 2.0 * half))
+            pieces.append(Blend(T.rotation, T.translation, turns, ways, 2.0 * half))
     return PathGeometry(tuple(pieces))

@@ -5,10 +5,12 @@ from .check import PathCheck as PathCheck, Remedy as Remedy, check_path as check
 from .clearance_check import Bodies as Bodies, ClearanceCheck as ClearanceCheck
 from .payload import Payload as Payload
 from .planner import Plan as Plan, plan as plan
+from .program_timing import time_program as time_program
 from .remedies import find_remedies as find_remedies
 from .route.edges import SearchedBodies as SearchedBodies
 from .route.finding import find_path as find_path
 from .route.goals import ArmGoal as ArmGoal, FreeTurn as FreeTurn, TurnedGoal as TurnedGoal
+from .route.replanner import Replanner as Replanner
 from .route.route import Route as Route, RouteVerdict as RouteVerdict
 from .starts import ArmStart as ArmStart, Start as Start, find_start as find_start
 from .timing import time_path as time_path

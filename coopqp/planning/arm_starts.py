@@ -11,10 +11,11 @@ import pinocchio as pin
 from coopqp.constraints.samples import PathSamples
 from coopqp.model.batch import ArmKinematics, Walks
 from coopqp.model.branches import AT_LIMIT, Branches, amount, find_branches
+from coopqp.planning.on_shared import OnShared
 from coopqp.spatial import Array
 
 #: Good margin, as a share of a joint's half range, and good σ_min: the units of a branch's score.
-_GOOD_MARGIN, _GOOD_SIGMA = 1.0 / 3.0, 0.2
+GOOD_MARGIN, GOOD_SIGMA = 1.0 / 3.0, 0.2
 #: Below this σ_min a branch counts as singular: no arm follows a path there.
 _SINGULAR = 1e-3
 #: Steps that lead redundant arms away from their limits: number, length of the first and of the last [rad or m].
@@ -136,6 +137,25 @@ def arm_on_path(
     return ArmOnPath(kinematics, tuple(rows), found.closest)
 
 
+def arm_on_shared(arm: OnShared, samples: PathSamples, poses: Array, s: Array, starts: Array) -> ArmOnPath:
+    """Branches of an arm whose shared joints are at ``s`` (K, S) at the samples, in the order of its starts (B, n).
+
+    Args:
+        arm: the arm.
+        samples: the path.
+        poses: T_world_tool at the samples (K, 4, 4).
+        s: positions of the joints that its group shares (K, S).
+        starts: positions of its own joints.
+    """
+    walks = arm.alone.walk(arm.seen(s, poses), starts)
+    rows = []
+    for m in range(len(starts)):
+        q = arm.joined(s, walks.q[m])
+        whole = Walks(q[None], walks.reached[m : m + 1], arm.whole.singular_values(q)[None, :, -1])
+        rows.append(_row(arm.whole, samples, poses, whole, 0, 0.0, 1))
+    return ArmOnPath(arm.whole, tuple(rows), 0.0)
+
+
 def _row(
     kinematics: ArmKinematics, samples: PathSamples, poses: Array, walks: Walks, m: int, roll: float, hits: int
 ) -> BranchAlongPath:
@@ -159,7 +179,7 @@ def _row(
         margins=margins.min(axis=0),
         clocks=samples.clocks[margins.argmin(axis=0)],
         sigma_min=np.concatenate([sigma, np.zeros(len(samples.clocks) - len(sigma))]),
-        score=round(float(min(share / _GOOD_MARGIN, sigma.min() / _GOOD_SIGMA)), 9),
+        score=round(float(min(share / GOOD_MARGIN, sigma.min() / GOOD_SIGMA)), 9),
         end=why_it_ends(kinematics, way[-1], poses[last], poses[last + 1]) if last + 1 < len(poses) else "",
     )
 

@@ -152,7 +152,7 @@ def check_branches(kinematics: ArmKinematics, path: ToolPath, starts: Array) -> 
     walks = kinematics.walk(path.poses, first, tolerance=exact)
     trajectories = [walks.q[m, : int(walks.reached[m]) + 1] for m in range(len(starts))]
     if kinematics.n > 6:
-        trajectories = [_inside(kinematics, path, trajectory, exact) for trajectory in trajectories]
+        trajectories = [led_inside(kinematics, path, trajectory, exact) for trajectory in trajectories]
     return [check_trajectory(kinematics, path, trajectory) for trajectory in trajectories]
 
 
@@ -183,7 +183,7 @@ def not_disproved(kinematics: ArmKinematics, path: ToolPath, branches: list[Bran
     ]
 
 
-def _inside(kinematics: ArmKinematics, path: ToolPath, trajectory: Array, exact: float) -> Array:
+def led_inside(kinematics: ArmKinematics, path: ToolPath, trajectory: Array, exact: float) -> Array:
     """The trajectory of a redundant arm (K, n); if it leaves the limits or ends, one that keeps away from them."""
     if len(trajectory) == len(path.poses) and kinematics.margins(trajectory).min() >= -AT_LIMIT:
         return trajectory

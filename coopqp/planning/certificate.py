@@ -8,7 +8,8 @@ of E is below 1, so the joints cannot leave this tube. E comes from the first de
 of its columns, and from a bound of the second ones. On a straight segment ν is constant; else ``D = h |Y ν'| + ½ h²
 (|Y_lin| ‖p‴‖ + |Y_ang| ‖ω″‖)``, with norms of the rows of Y and bounds over the interval
 (:meth:`coopqp.paths.geometry.Piece.bounds`). A redundant arm gets one more row for each further joint: a combination of
-joints that moves at a constant rate along the interval.
+joints that moves at a constant rate along the interval. The first of these are the joints that it shares with other
+arms, one by one, so that all of them prove the same motion of these joints.
 
 Source: the tube argument is that of interval methods for differential equations (Moore, Kearfott, Cloud: Introduction
 to Interval Analysis, 2009), with real bounds in place of interval arithmetic. It is a proof up to rounding.
@@ -154,10 +155,11 @@ def between(kinematics: ArmKinematics, poses: Array, qa: Array, qb: Array, share
     """
     n, exact, x = kinematics.n, exactness(poses), share[:, None]
     guess = (1.0 - x) * qa + x * qb
+    shared = kinematics.shared
     if n <= 6:
         answer = kinematics.solve(poses, guess, tolerance=exact, steps=8)
         return answer.q, np.empty((len(guess), 0, 6)), answer.residual <= exact
-    rows = np.linalg.svd(kinematics.jacobians(0.5 * (qa + qb)))[2][:, 6:]
+    rows = _further_rows(kinematics.jacobians(0.5 * (qa + qb)), shared)
     q, solved = guess.copy(), np.zeros(len(guess), dtype=bool)
     for _ in range(8):
         J, T = kinematics.jacobians(q), kinematics.tool_poses(q)
@@ -169,7 +171,18 @@ def between(kinematics: ArmKinematics, poses: Array, qa: Array, qb: Array, share
         inverse, regular = _inverses(np.concatenate([J, rows], axis=1))
         step = (inverse @ wanted[:, :, None])[:, :, 0]
         q = q + np.where(regular[:, None] & np.isfinite(step), np.clip(step, -1.0, 1.0), 0.0)
+        q[:, shared] = guess[:, shared]  # to the last bit, as for the other arms that share them
     return q, rows, solved
+
+
+def _further_rows(J: Array, shared: Indices) -> Array:
+    """Rows (M, n − 6, n) that make Jacobians (M, 6, n) square: of joints that arms share, then of the null-space."""
+    if not len(shared):
+        return np.linalg.svd(J)[2][:, 6:]
+    given = np.zeros((len(J), len(shared), J.shape[2]))
+    given[:, np.arange(len(shared)), shared] = 1.0
+    rest = np.linalg.svd(np.concatenate([J, given], axis=1))[2][:, 6 + len(shared) :]
+    return np.concatenate([given, rest], axis=1)
 
 
 def _small_turns(R: Array, S: Array) -> Array:

@@ -45,6 +45,8 @@ from coopqp.planning.clearance_check import Bodies, ClearanceCheck, check_scene
 from coopqp.planning.joint_trajectories import CellTrajectory
 from coopqp.planning.phase_checks import PhaseCheck, explained, phase_checks
 from coopqp.planning.segments import Segments, segments_of
+from coopqp.planning.shared_check import check_group, stands_at
+from coopqp.planning.shared_way import SharedWay
 from coopqp.planning.starts import clear_rows, exact_start
 from coopqp.planning.tools_on_object import tool_on_object, tools_move
 from coopqp.spatial import Array
@@ -109,6 +111,7 @@ class PathCheck:
         scene: the bodies that keep distances; None if they play no part.
         remedies: changes that help, each checked; see :func:`find_remedies`.
         no_remedy: kinds of remedies that failed, and why.
+        shared: per group of arms that share joints, where these are along the path.
     """
 
     verdict: PathVerdict
@@ -123,6 +126,7 @@ class PathCheck:
     scene: Bodies | None = None
     remedies: tuple[Remedy, ...] = ()
     no_remedy: tuple[str, ...] = ()
+    shared: tuple[SharedWay, ...] = ()
 
     @property
     def feasible(self) -> bool:
@@ -172,6 +176,7 @@ class PathCheck:
             + (" from this start." if self.given else ", from any start."),
         }[self.verdict]
         lines = [head, *(arm.explain() for arm in self.arms), *explained(self.phases)]
+        lines += [f"joints that arms share: {stands_at(self.cell, way)}." for way in self.shared]
         if self.clearance is not None:
             lines.append(self.clearance.explain())
         elif self.scene is not None:
@@ -258,16 +263,19 @@ def check_path(
     samples, segments = sample_path(path, grasp), segments_of(path)
     start = None if q_start is None else cell.check_configuration(q_start, "check_path: q_start")
     arms: list[ArmCheck] = []
+    grouped, shared = _groups(cell, grasp, samples, segments, start)
     for k, (arm, X) in enumerate(zip(cell.arms, grasp.T_object_tool, strict=True)):
         kinematics, own = ArmKinematics(arm), samples.of_arm(k)
         tool = tool_on_object(path, own, k, X) if tools_move(path) else tool_path(segments, own, X)
-        if start is None:
+        if k in grouped:
+            arms.append(grouped[k])
+        elif start is None:
             arms.append(_every_branch(kinematics, own, X, tool, seed_factor))
         else:
-            positions = cell.positions(start)[cell.v_slices[k]][kinematics.columns]
+            positions = cell.positions(start)[cell.columns[k][kinematics.columns]]
             arms.append(_given_branch(kinematics, tool, positions))
     if start is None and all(arm.chosen is not None for arm in arms):
-        if scene is not None:
+        if scene is not None and not cell.groups:
             arms = _clear(cell, grasp, samples, arms, scene)
         start = _joined(cell, grasp, samples.poses[0], arms)
     verdict, clearance = worst([arm.verdict for arm in arms]), None
@@ -275,7 +283,31 @@ def check_path(
         arms, clearance = _distances(
             cell, grasp, path, samples, segments, arms, scene, cell.positions(start), any_start=q_start is None
         )
-    return _result(cell, grasp, path, arms, start, clearance, scene, given=q_start is not None)
+    found = _result(cell, grasp, path, arms, start, clearance, scene, given=q_start is not None)
+    return replace(found, shared=shared) if shared else found
+
+
+def _groups(
+    cell: RobotCell, grasp: Grasp, samples: PathSamples, segments: Segments | None, start: Array | None
+) -> tuple[dict[int, ArmCheck], tuple[SharedWay, ...]]:
+    """The checks of arms that share joints, by their indices, and the ways of these joints."""
+    grouped: dict[int, ArmCheck] = {}
+    shared: list[SharedWay] = []
+    positions = None if start is None else cell.positions(start)
+    for group in cell.groups:
+        if positions is not None:
+            for k in group:
+                kinematics = ArmKinematics(cell.arms[k])
+                tool = tool_path(segments, samples, grasp.T_object_tool[k])
+                _exact_at_start(kinematics, tool, positions[cell.columns[k][kinematics.columns]])
+        arms, branches, way = check_group(cell, grasp, samples, segments, group, positions)
+        if way is not None:
+            shared.append(way)
+        for k, arm, own in zip(group, arms, branches, strict=True):
+            chosen = own[0] if own else None
+            why = "" if own else f"arm {arm.whole.arm.name} has no way that suits all arms with which it shares joints"
+            grouped[k] = _arm_check(arm.whole, chosen, own, None, why=why)
+    return grouped, tuple(shared)
 
 
 def check_motion(cell: RobotCell, grasp: Grasp, path: TimedPath, x: Array, scene: Bodies) -> PathCheck | None:
@@ -297,10 +329,10 @@ def check_motion(cell: RobotCell, grasp: Grasp, path: TimedPath, x: Array, scene
         return None
     places = places_along(path.geometry(), path.profile.s)
     arms = []
-    for own, arm, X in zip(cell.v_slices, cell.arms, grasp.T_object_tool, strict=True):
+    for own, arm, X in zip(cell.columns, cell.arms, grasp.T_object_tool, strict=True):
         kinematics = ArmKinematics(arm)
         tool = path_at(tool_path(segments, samples, X), places)
-        branch = check_trajectory(kinematics, tool, x[:, own.start + kinematics.columns])
+        branch = check_trajectory(kinematics, tool, x[:, own[kinematics.columns]])
         arms.append(_arm_check(kinematics, branch, [branch], None))
     clearance = None
     if worst([arm.verdict for arm in arms]) is PathVerdict.CERTIFIED:
@@ -380,20 +412,20 @@ def _distances(
 
     trajectory = trajectory_of(arms)
     found = scene.along(trajectory, any_start=any_start)
-    if found.verdict is not PathVerdict.UNDECIDED or segments is None or not trajectory.complete:
+    if found.verdict is not PathVerdict.UNDECIDED or segments is None or not trajectory.complete or cell.groups:
         return arms, found
     other = scene.evading(trajectory)
     if other is None:
         return arms, found
     places, x = other
     evading: list[ArmCheck] = []
-    for arm, model, own, X in zip(arms, cell.arms, cell.v_slices, grasp.T_object_tool, strict=True):
+    for arm, model, own, X in zip(arms, cell.arms, cell.columns, grasp.T_object_tool, strict=True):
         kinematics = ArmKinematics(model)
         if kinematics.n <= 6:
             evading.append(arm)
             continue
         tool = path_at(tool_path(segments, samples, X), places)
-        branch = check_trajectory(kinematics, tool, x[:, own.start + kinematics.columns])
+        branch = check_trajectory(kinematics, tool, x[:, own[kinematics.columns]])
         evading.append(
             replace(arm, chosen=branch, branches=tuple(branch if b is arm.chosen else b for b in arm.branches))
         )
@@ -421,6 +453,17 @@ def _every_branch(
 
 def _given_branch(kinematics: ArmKinematics, tool: ToolPath, positions: Array) -> ArmCheck:
     """Check the branch that begins at ``positions``."""
+    starts = _exact_at_start(kinematics, tool, positions)
+    branches = not_disproved(kinematics, tool, check_branches(kinematics, tool, starts))
+    return _arm_check(kinematics, branches[0], branches, None)
+
+
+def _exact_at_start(kinematics: ArmKinematics, tool: ToolPath, positions: Array) -> Array:
+    """Exact joint positions (1, n) at the start of the path.
+
+    Raises:
+        InvalidInputError: they are not near it.
+    """
     exact = kinematics.solve(tool.poses[:1], positions[None], tolerance=1e-11, steps=8)
     T = kinematics.tool_poses(positions[None])[0]
     away = pin.log6(pin.SE3(T).actInv(pin.SE3(tool.poses[0]))).vector
@@ -432,19 +475,23 @@ def _given_branch(kinematics: ArmKinematics, tool: ToolPath, positions: Array) -
             "check_path: q_start",
             "Give a start that holds the object there (inverse_kinematics), or none.",
         )
-    branches = not_disproved(kinematics, tool, check_branches(kinematics, tool, exact.q))
-    return _arm_check(kinematics, branches[0], branches, None)
+    return exact.q
 
 
 def _arm_check(
-    kinematics: ArmKinematics, chosen: BranchCheck | None, branches: list[BranchCheck], found: ArmOnPath | None
+    kinematics: ArmKinematics,
+    chosen: BranchCheck | None,
+    branches: list[BranchCheck],
+    found: ArmOnPath | None,
+    *,
+    why: str = "",
 ) -> ArmCheck:
     name = kinematics.arm.name
-    reason = ""
-    if chosen is None:
+    reason = why
+    if chosen is None and not why:
         assert found is not None
         reason = trouble(found)
-    elif chosen.verdict is PathVerdict.INFEASIBLE:
+    elif chosen is not None and chosen.verdict is PathVerdict.INFEASIBLE:
         best = max(branches, key=lambda branch: (branch.until, float(branch.margins.min())))
         reason = f"arm {name} {best.why}"
         if len(branches) > 1:
@@ -463,7 +510,7 @@ def _arm_check(
 def _joined(cell: RobotCell, grasp: Grasp, T_world_object: pin.SE3, arms: list[ArmCheck]) -> Array:
     """The configuration at which each arm is at the start of its chosen branch."""
     x = np.clip(np.zeros(cell.nv), cell.limits.lower, cell.limits.upper)
-    for own, arm, check in zip(cell.v_slices, cell.arms, arms, strict=True):
+    for own, arm, check in zip(cell.columns, cell.arms, arms, strict=True):
         assert check.chosen is not None
-        x[own.start + ArmKinematics(arm).columns] = check.chosen.q[0]
+        x[own[ArmKinematics(arm).columns]] = check.chosen.q[0]
     return exact_start(Chain(cell, grasp), T_world_object, x)

@@ -96,7 +96,7 @@ class CellTrajectory:
     ) -> None:
         self.cell, self._path, self._segments, self._arms = cell, path, segments, tuple(arms)
         self._rest = rest
-        self._columns = [own.start + arm.kinematics.columns for own, arm in zip(cell.v_slices, self._arms, strict=True)]
+        self._columns = [own[arm.kinematics.columns] for own, arm in zip(cell.columns, self._arms, strict=True)]
         end = min(float(arm.places[-1]) for arm in self._arms)
         every = np.unique(np.concatenate([arm.places for arm in self._arms]))
         self.places: Array = every[every <= end]
@@ -126,6 +126,8 @@ class CellTrajectory:
 
     def reached(self, x: Array, T_world_object: Array) -> Array | None:
         """Joint positions (nv,) near ``x`` that hold the object at a pose (4, 4); None if there are none."""
+        if self.cell.groups:
+            return None  # each arm would move the joints that it shares its own way
         out = x.copy()
         for columns, arm in zip(self._columns, self._arms, strict=True):
             answer = arm.kinematics.solve((T_world_object @ arm.offset)[None], x[None, columns], tolerance=_EXACT)

@@ -19,6 +19,7 @@ from coopqp.model.cell import RobotCell
 from coopqp.model.grasp import Grasp
 from coopqp.paths.geometry import PathGeometry
 from coopqp.planning.arm_starts import why_it_ends
+from coopqp.planning.segments import Indices
 from coopqp.spatial import Array, cross
 
 #: A knot is reached within this [m, rad]; then Newton's method goes on to rounding.
@@ -179,7 +180,7 @@ class Following:
     ) -> None:
         self._cell, self._grasp, self._geometry, self._x0, self._lead = cell, grasp, geometry, x0, lead
         self._arms = [ArmKinematics(arm) for arm in cell.arms]
-        self._columns = [own.start + arm.columns for own, arm in zip(cell.v_slices, self._arms, strict=True)]
+        self._columns = [own[arm.columns] for own, arm in zip(cell.columns, self._arms, strict=True)]
         self._first = Motion.of(geometry, merged(np.linspace(0.0, geometry.length, _FIRST_LOOK), self._within(_LOOKS)))
         self._coarse: list[ArmKnots] = []
         for name, arm, X, own in zip(cell.arm_names, self._arms, grasp.T_object_tool, self._columns, strict=True):
@@ -225,7 +226,7 @@ class Following:
             x[:, own], slope[:, own], curvature[:, own] = found.q, found.slope, found.curvature
         return Knots(s, x, slope, curvature)
 
-    def _led(self, arm: ArmKinematics, T_object_tool: pin.SE3, own: Array, s: Array) -> ArmKnots | None:
+    def _led(self, arm: ArmKinematics, T_object_tool: pin.SE3, own: Indices, s: Array) -> ArmKnots | None:
         """Knots of an arm that is led; None for others."""
         lead = self._lead
         if lead is None or arm.n <= 6:

@@ -189,24 +189,27 @@ class _Search:
         """Move the base of each arm in trouble: by −D where the path moved by D is followed; or why this is no help."""
         c = self.check
         options: list[list[Array]] = []
-        for k in self.bad:
+        grouped = {k: group for group in c.cell.groups for k in group}
+        units = list(dict.fromkeys(grouped.get(k, (k,)) for k in self.bad))  # arms of one base
+        for unit in units:
             good: list[Array] = []
             for places in _PLACES:
-                scored = [(self.score(k, D), i) for i, D in enumerate(places)]
+                scored = [(min(self.score(k, D) for k in unit), i) for i, D in enumerate(places)]
                 good += [-places[i] for score, i in sorted(scored, reverse=True) if score > -np.inf]
                 if len(good) >= _CHECKED:
                     break
             if not good:
-                return f"moving bases: {self._nowhere(k)}"
+                return f"moving bases: {self._nowhere(unit[0])}"
             options.append(good)
         for choice in itertools.islice(_together(options), _CHECKED):
             shift, arms = np.zeros((len(c.cell), 3)), list(c.cell.arms)
-            for k, D in zip(self.bad, choice, strict=True):
+            for k, D in ((k, D) for unit, D in zip(units, choice, strict=True) for k in unit):
                 base = arms[k].T_world_base
                 shift[k], arms[k] = D, arms[k].placed(pin.SE3(base.rotation, base.translation + D))
             answer = self._confirmed(RobotCell(arms), c.grasp, c.path)
             if answer is not None:
-                changes = [f"of arm {c.cell.arm_names[k]} by {_metres(shift[k])} m" for k in self.bad]
+                named = [f"robot {arms[u[0]].robot}" if len(u) > 1 else f"arm {c.cell.arm_names[u[0]]}" for u in units]
+                changes = [f"of {name} by {_metres(shift[u[0]])} m" for name, u in zip(named, units, strict=True)]
                 return Remedy(kind="base", text=f"move the base {' and '.join(changes)}", check=answer, shift=shift)
         return f"moving bases: {self._in_vain()}"
 

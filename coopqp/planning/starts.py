@@ -21,8 +21,11 @@ from coopqp.model.chain import Chain
 from coopqp.model.grasp import Grasp
 from coopqp.model.inverse_kinematics import newton
 from coopqp.paths.path import ObjectPath
-from coopqp.planning.arm_starts import ArmOnPath, BranchAlongPath, arm_on_path, rolled, trouble
+from coopqp.planning.arm_starts import ArmOnPath, BranchAlongPath, arm_on_path, arm_on_shared, rolled, trouble
 from coopqp.planning.clearance_check import Bodies, check_scene
+from coopqp.planning.on_shared import OnShared, group_joints
+from coopqp.planning.segments import segments_of
+from coopqp.planning.shared_way import few_samples, places_of, ways
 from coopqp.spatial import Array
 
 #: Rolls of the tool that are tried for a remedy [deg], the most usual first.
@@ -148,10 +151,18 @@ def find_start(
     near = None if q_near is None else cell.positions(cell.check_configuration(q_near, "find_start: q_near"))
     found: list[tuple[ArmOnPath, BranchAlongPath]] = []
     troubles: list[tuple[str, str]] = []
+    grouped = _of_groups(cell, grasp, path, samples)
     for k, arm in enumerate(cell.arms):
         kinematics = ArmKinematics(arm)
+        if k in grouped:
+            rows = grouped[k]
+            if rows is None or not rows.feasible:
+                troubles.append((arm.name, _NO_WAY.format(arm=arm.name)))
+            else:
+                found.append((rows, rows.branches[0]))
+            continue
         own = samples.of_arm(k)
-        seeds = np.empty((0, kinematics.n)) if near is None else near[None, cell.v_slices[k]][:, kinematics.columns]
+        seeds = np.empty((0, kinematics.n)) if near is None else near[None, cell.columns[k][kinematics.columns]]
         tries = [
             arm_on_path(kinematics, own, grasp.T_object_tool[k], roll=roll, seed_factor=seed_factor, near=seeds)
             for roll in rolls[k]
@@ -165,7 +176,7 @@ def find_start(
     if troubles:
         raise NoStartError(tuple(name for name, _ in troubles), ". ".join(text for _, text in troubles) + ".")
     clear = None
-    if scene is not None:
+    if scene is not None and not cell.groups:
         options = [[row.q for row in arm.feasible[:_MOST_OPTIONS]] for arm, _ in found]
         choice = clear_rows(cell, grasp, samples, options, scene)
         clear = choice is not None
@@ -174,15 +185,45 @@ def find_start(
     return replace(_put_together(cell, grasp, samples, found, near), clear=clear)
 
 
+#: Why arms that share joints have no start, and what helps.
+_NO_WAY = (
+    "arm {arm} has no start from which all arms that share joints with it follow the path; move the robot or the path, "
+    "or hold the object elsewhere"
+)
+
+
+def _of_groups(cell: RobotCell, grasp: Grasp, path: ObjectPath, samples: PathSamples) -> dict[int, ArmOnPath | None]:
+    """Branches of arms that share joints, by their indices, the chosen one first; None where there is no way."""
+    out: dict[int, ArmOnPath | None] = {}
+    segments = segments_of(path)
+    for group in cell.groups:
+        joints = group_joints(cell, group)
+        arms = [OnShared(cell.arms[k], cell.columns[k], joints) for k in group]
+        chosen, places = few_samples(samples, segments)
+        tools = [(places, samples.tool_poses(grasp.T_object_tool[k])[chosen]) for k in group]
+        out |= dict.fromkeys(group)
+        s_places = places_of(samples, segments)
+        for way, starts in ways(cell, arms, group, tools, np.diff(samples.clocks[chosen])):
+            s = way.at(s_places)
+            made = [
+                arm_on_shared(arm, samples, samples.tool_poses(grasp.T_object_tool[k]), s, own)
+                for k, arm, own in zip(group, arms, starts, strict=True)
+            ]
+            out |= dict(zip(group, made, strict=True))
+            if all(on_path.branches and on_path.branches[0].feasible for on_path in made):
+                break
+    return out
+
+
 def clear_rows(
     cell: RobotCell, grasp: Grasp, samples: PathSamples, options: Sequence[Sequence[Array]], scene: Bodies
 ) -> tuple[int, ...] | None:
     """Index of one start (n,) per arm, so that all margins are kept; None if there are none. The best come first."""
     trajectories = []
-    for k, (arm, own, X, starts) in enumerate(zip(cell.arms, cell.v_slices, grasp.T_object_tool, options, strict=True)):
+    for k, (arm, own, X, starts) in enumerate(zip(cell.arms, cell.columns, grasp.T_object_tool, options, strict=True)):
         kinematics = ArmKinematics(arm)
         walks = kinematics.walk(samples.of_arm(k).tool_poses(X), np.array(starts).reshape(-1, kinematics.n))
-        rest = np.clip(np.zeros(own.stop - own.start), cell.limits.lower[own], cell.limits.upper[own])
+        rest = np.clip(np.zeros(len(own)), cell.limits.lower[own], cell.limits.upper[own])
         trajectory = np.tile(rest, (*walks.q.shape[:2], 1))
         trajectory[:, :, kinematics.columns] = walks.q
         trajectories.append(trajectory)
@@ -198,7 +239,7 @@ def _put_together(
 ) -> Start:
     """The start of the whole cell."""
     x = np.clip(np.zeros(cell.nv), cell.limits.lower, cell.limits.upper) if near is None else near.copy()
-    columns = [s.start + arm.kinematics.columns for s, (arm, _) in zip(cell.v_slices, found, strict=True)]
+    columns = [own[arm.kinematics.columns] for own, (arm, _) in zip(cell.columns, found, strict=True)]
     margins = np.minimum(x - cell.limits.lower, cell.limits.upper - x)
     tools = []
     for own, X, (_, row) in zip(columns, grasp.T_object_tool, found, strict=True):

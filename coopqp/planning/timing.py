@@ -130,6 +130,7 @@ def timed_motion(
     require_toppra()
     grasp.check_arms(cell)
     where = "time_path"
+    cell.refuse_shared(where)
     share = as_scalar(share, f"{where}: share", high=1.0)
     count = as_count(knots if knots is not None else KNOTS if jerk is None else JERK_KNOTS, f"{where}: knots")
     jerks = None if jerk is None else _as_jerks(jerk, cell.nv, where)
@@ -221,7 +222,7 @@ def geometry_of(path: ObjectPath | PathGeometry, where: str) -> PathGeometry:
     if isinstance(path, PathGeometry):
         return path
     require(path, ObjectPath, f"{where}: path", "Give an ObjectPath.")
-    refuse_motion(path, where, "Plan the path of each phase, and give the program planned paths.")
+    refuse_motion(path, where, "Time a program with coopqp.planning.time_program.")
     geometry = None
     if path.known_ahead and np.isfinite(path.duration):
         geometry = path.geometry() if is_known(path) else path.geometry() or sampled_geometry(path)

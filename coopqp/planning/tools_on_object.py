@@ -151,11 +151,11 @@ def _segments(path: ObjectPath, k: int, X: pin.SE3) -> Segments | None:
     clocks = sorted(clock for clock in marks if 0.0 <= clock <= end)
     clocks = [a for a, b in itertools.pairwise(clocks) if b - a > _SAME] + [end]
     made: list[ToolPiece] = []
-    laws: list[tuple[bool, float, float]] = []
+    laws: list[_Law] = []
     for a, b in itertools.pairwise(clocks):
         row = rows[max(int(np.searchsorted(rows[:, 18], a + _SAME, side="right")) - 1, 0)]
         piece = motion.piece(k, a + _SAME)
-        found = _common(row, piece, a, b)
+        found = common_share(row, piece, a, b)
         if found is None:
             return None
         (own, tool, low, high), law = found
@@ -168,20 +168,52 @@ def _segments(path: ObjectPath, k: int, X: pin.SE3) -> Segments | None:
         i = np.clip(np.floor(s).astype(int), 0, len(made) - 1)
         out = np.empty(len(s))
         for j in np.unique(i).tolist():
-            here, (quintic, start, duration) = i == j, laws[j]
-            u = made[j].low + (made[j].high - made[j].low) * (s[here] - j)
-            out[here] = start + duration * (TimeLaw.QUINTIC.inverse(u) if quintic else u)
+            here = i == j
+            out[here] = laws[j].clocks(made[j].low + (made[j].high - made[j].low) * (s[here] - j))
         return np.minimum(out, end)
 
     starts = np.array(clocks)
-    quintic = np.array([law[0] for law in laws])
+    quintic = np.array([law.kind == 1.0 for law in laws])
     return Segments(tuple(made), starts[:-1], np.diff(starts), quintic, when=when)
 
 
-def _common(
+@dataclass(frozen=True)
+class _Law:
+    """A time law of a segment: its number in :meth:`ObjectPath.packed`, start and duration [s], and first speed."""
+
+    kind: float
+    start: float
+    duration: float
+    first: float
+
+    @staticmethod
+    def of(segment: Array) -> _Law:
+        """That of a segment (29,)."""
+        return _Law(*(float(segment[i]) for i in (20, 18, 19, 21)))
+
+    def share(self, clock: float) -> float:
+        """u at a clock [s]."""
+        x = (clock - self.start) / self.duration
+        if self.kind == 3.0:
+            x = min(max(x, 0.0), 1.0)
+            return x * (self.first + (1.0 - self.first) * x)
+        return (TimeLaw.QUINTIC if self.kind == 1.0 else TimeLaw.LINEAR).value_at(x)
+
+    def clocks(self, u: Array) -> Array:
+        """Clocks [s] at shares u (K,)."""
+        if self.kind == 3.0:  # x (w + (1 − w) x) = u
+            w = self.first
+            x = 2.0 * u / (w + np.sqrt(np.maximum(w * w + 4.0 * (1.0 - w) * u, 0.0)) + 1e-300)
+        else:
+            x = TimeLaw.QUINTIC.inverse(u) if self.kind == 1.0 else u
+        out: Array = self.start + self.duration * x
+        return out
+
+
+def common_share(
     row: Array, piece: GraspPiece | None, a: float, b: float
-) -> tuple[tuple[Array, Array, float, float], tuple[bool, float, float]] | None:
-    """Both segments over one share u, its ends, and its time law: quintic, start and duration [s]. None: there is none.
+) -> tuple[tuple[Array, Array, float, float], _Law] | None:
+    """Both segments over one share u, its ends, and its time law. None: there is none.
 
     What rests from ``a`` to ``b`` [s] stands still at its place.
     """
@@ -192,18 +224,17 @@ def _common(
     if not moves[1] and piece is not None:
         tool = _at_rest(piece.segment, a, b)
     if not any(moves):
-        return (row, tool, 0.0, 1.0), (False, a, b - a)
+        return (row, tool, 0.0, 1.0), _Law(0.0, a, b - a, 0.0)
     leads = row if moves[0] else tool
     other = tool if moves[0] else row
     if all(moves):
-        same = leads[20] == other[20] and abs(leads[18] - other[18]) < _SAME and abs(leads[19] - other[19]) < _SAME
+        same = leads[20] == other[20] and np.abs(leads[[18, 19, 21]] - other[[18, 19, 21]]).max() < _SAME
         if not same:
             return None
-    if leads[20] not in (0.0, 1.0):
+    if leads[20] not in (0.0, 1.0, 3.0):
         return None
-    law = TimeLaw.QUINTIC if leads[20] == 1.0 else TimeLaw.LINEAR
-    low, high = (law.value_at(float((clock - leads[18]) / leads[19])) for clock in (a, b))
-    return (row, tool, low, high), (law is TimeLaw.QUINTIC, float(leads[18]), float(leads[19]))
+    law = _Law.of(leads)
+    return (row, tool, law.share(a), law.share(b)), law
 
 
 def _moves(segment: Array, a: float, b: float) -> bool:

@@ -1,5 +1,6 @@
 from .program import Phase as Phase, PhaseSpan as PhaseSpan, Program as Program
 from .roles import (
+    Follows as Follows,
     Holds as Holds,
     Role as Role,
     Slides as Slides,

@@ -20,7 +20,7 @@ from coopqp.paths.guarded import GuardedPath, is_known
 from coopqp.paths.moving_grasps import grasp_at
 from coopqp.paths.path import HoldPath, ObjectPath, SegmentedPath
 from coopqp.paths.section import breakpoints
-from coopqp.programs.roles import Holds, Role, Span, Travels
+from coopqp.programs.roles import Holds, Role, Span
 from coopqp.spatial import Array
 
 #: Phases may begin this far from where the one before ends [m, rad].
@@ -139,6 +139,7 @@ class Program(SegmentedPath):
         self, cell: RobotCell, grasp: Grasp, phases: Sequence[Phase], *, signals: Mapping[str, float] | None = None
     ) -> None:
         grasp.check_arms(cell)
+        cell.refuse_shared("Program")
         self.phases = tuple(phases)
         if not self.phases:
             raise InvalidInputError("no phase", "Program", "Give at least one.")
@@ -228,7 +229,7 @@ class Program(SegmentedPath):
                         "Let it travel to its place in a phase before (Travels), or wait (Waits).",
                     )
                 holding[k] = role.holds and holding[k]
-                after[k] = role.holds_after if isinstance(role, Travels) else holding[k]
+                after[k] = holding[k] if role.holds_after is None else role.holds_after
             if not any(holding):
                 raise InvalidInputError(
                     "no arm holds the object", f"Program: phase '{phase.name}'", "Let one hold it: Holds()."

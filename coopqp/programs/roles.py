@@ -51,6 +51,8 @@ class Role(abc.ABC):
 
     #: Whether it holds the object during the phase.
     holds: bool = True
+    #: Whether it holds the object after the phase; None: as during it.
+    holds_after: bool | None = None
     #: The duration that the role needs [s]; None for the phase's.
     duration: float | None = None
 
@@ -96,7 +98,7 @@ class Travels(Role):
 
     to: Placement
     retreat_m: float = 0.05
-    holds_after: bool = True
+    holds_after: bool | None = True
     holds = False
 
     def __post_init__(self) -> None:
@@ -143,6 +145,33 @@ class Works(Role):
                 "Begin the path there, or let the arm travel to its start in a phase before.",
             )
         return span.pieces(self.on, pin.SE3.Identity())
+
+
+@final
+@dataclass(frozen=True, eq=False)
+class Follows(Role):
+    """The tool follows a path in a frame on the object, from where it is: what a plan makes of the other roles.
+
+    Args:
+        on: the path of a frame; only its motion from its start counts.
+        frame: the placement on the object in whose axes it is.
+        holds: whether the arm holds the object meanwhile.
+        holds_after: whether it does after the phase; None: as during it.
+    """
+
+    on: ObjectPath
+    frame: Placement
+    holds: bool = True
+    holds_after: bool | None = None
+
+    def __post_init__(self) -> None:
+        require(self.on, ObjectPath, "Follows: on", "Give a path, such as a TimedPath.")
+        object.__setattr__(self, "frame", as_placement(self.frame, "Follows: frame"))
+        object.__setattr__(self, "duration", float(self.on.duration))
+
+    def pieces(self, span: Span) -> tuple[GraspPiece, ...]:
+        """See :class:`Role`."""
+        return span.pieces(self.on, as_placement(self.frame, "Follows: frame"))
 
 
 @final

@@ -11,6 +11,7 @@ from coopqp.scenarios.cells import dual_arm7, five_joint_pair, mixed_cell, panda
 from coopqp.scenarios.loads import LOADED, base_off_lift, heavy_lift, hot_plate, palm_box, torque_lift
 from coopqp.scenarios.obstacles import elbow_and_knob, elbows, forearms, plate_and_post, plate_and_table, random_posts
 from coopqp.scenarios.paper import abb_lift, fast_lift, kuka_lift, mixed_lift, paper_lift, wide_grasp
+from coopqp.scenarios.pins import bar_with_pins, five_joint_pins
 from coopqp.scenarios.programs import PROGRAMS, conveyor, draw_on_plate, hand_over, pliers, positioner, regrasp_plate
 from coopqp.scenarios.robots import ROBOT_NAMES, robot_path
 from coopqp.scenarios.troubles import at_limit, at_singularity
@@ -26,6 +27,7 @@ __all__ = [
     "abb_lift",
     "at_limit",
     "at_singularity",
+    "bar_with_pins",
     "base_off_lift",
     "conveyor",
     "draw_on_plate",
@@ -34,6 +36,7 @@ __all__ = [
     "elbows",
     "fast_lift",
     "five_joint_pair",
+    "five_joint_pins",
     "forearms",
     "hand_over",
     "heavy_lift",
@@ -71,7 +74,8 @@ SCENARIOS: dict[str, Callable[[], Scenario]] = {
     for make in (
         paper_lift, wide_grasp, fast_lift, kuka_lift, abb_lift, mixed_lift, at_limit, at_singularity, dual_arm7,
         panda_bar, ur5_table, mixed_cell, ring, scara_pair, five_joint_pair, plate_and_post, plate_and_table,
-        elbow_and_knob, elbows, forearms, random_posts, *LOADED.values(), *PROGRAMS.values(),
+        elbow_and_knob, elbows, forearms, random_posts, *LOADED.values(), *PROGRAMS.values(), five_joint_pins,
+        bar_with_pins,
     )
 }  # fmt: skip
 

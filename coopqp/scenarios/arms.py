@@ -21,7 +21,7 @@ _PACKAGE = "example-robot-data"
 
 
 @dataclass(frozen=True, kw_only=True)
-class Robot:
+class RobotEntry:
     """An arm with a name of its own.
 
     Attributes:
@@ -48,16 +48,16 @@ class Robot:
         return "robots" if self.file else ""
 
 
-def _listed() -> dict[str, Robot]:
+def _listed() -> dict[str, RobotEntry]:
     entries = json.loads((Path(__file__).parent / "robots" / "robots.json").read_text(encoding="utf-8"))
     for entry in entries.values():
         entry["locked"] = tuple(entry.get("locked", {}).items())
         entry["acceleration"] = tuple(entry.get("acceleration", ()))
-    return {name: Robot(**entry) for name, entry in entries.items()}
+    return {name: RobotEntry(**entry) for name, entry in entries.items()}
 
 
 #: Every arm with a name of its own, listed in ``robots/robots.json``.
-ROBOTS: Mapping[str, Robot] = MappingProxyType(_listed())
+ROBOTS: Mapping[str, RobotEntry] = MappingProxyType(_listed())
 
 
 def robot_data_path(name: str) -> Path:

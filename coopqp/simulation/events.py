@@ -45,7 +45,7 @@ class Event:
             InvalidInputError: the controller takes no such call, or the values are wrong.
         """
         method = getattr(controller, self.call, None)
-        known = (*_PLAIN, *_NUMBER, *_POSE, "shift_path", "jog", "gear")
+        known = (*_PLAIN, *_NUMBER, *_POSE, "shift_path", "jog", "gear", "signal")
         if self.call not in known or method is None:
             what = f"a {type(controller).__name__} takes no call '{self.call}' from a recording or a script"
             raise InvalidInputError(what, "Event", f"Calls are {', '.join(known)}.")
@@ -138,6 +138,8 @@ def _events(words: Sequence[str], dt: float) -> list[Event]:
         return [Event(step, call)]
     if call in _NUMBER and (len(values) == 1 or (call == "reverse" and not values)):
         return [Event(step, call, float(values[0]) if values else 0.0)]
+    if call == "signal" and values:
+        return [Event(step, call, " ".join(values))]
     if call == "shift_path" and len(values) == 3:
         T = np.eye(4)
         T[:3, 3] = [float(value) for value in values]

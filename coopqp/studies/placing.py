@@ -231,6 +231,7 @@ class Placer:
     ) -> None:
         grasp.check_arms(cell)
         refuse_motion(path, "Placer: path", "Place the bases for each phase by itself.")
+        cell.refuse_shared("Placer")
         self.cell, self.grasp, self.goals = cell, grasp, goals or Goals()
         self.samples = sample_path(path, grasp)
         if len(self.samples.clocks) < 2:

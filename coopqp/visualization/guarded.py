@@ -7,10 +7,12 @@ this machine).
 from __future__ import annotations
 
 import contextlib
+import gzip
 import http
 import socket
 import threading
-from collections.abc import Callable, Iterator
+from collections.abc import Awaitable, Callable, Iterator
+from dataclasses import dataclass
 from typing import Any
 from urllib.parse import urlsplit
 
@@ -18,6 +20,53 @@ from coopqp.errors import CoopqpError
 
 _LOOPBACK = ("localhost", "127.0.0.1", "::1")
 _LOCK = threading.Lock()
+#: Addresses of a page's own script and of its own socket on the server.
+_SCRIPT, _SOCKET = "/coopqp.js", "/coopqp"
+
+
+@dataclass(frozen=True)
+class OwnScript:
+    """A script of our own in the pages of a server, and what hears the socket that it opens at ``/coopqp``.
+
+    Attributes:
+        text: the script, JavaScript.
+        hear: serves one connection of websockets.
+    """
+
+    text: str
+    hear: Callable[[Any], Awaitable[None]]
+
+    def answer(self, path: str) -> Any:
+        """The script, where it is asked for."""
+        if path != _SCRIPT:
+            return None
+        return _response(self.text.encode(), "application/javascript")
+
+    def into(self, response: Any) -> Any:
+        """The page with the script in its head."""
+        body: bytes = response.body
+        if response.headers.get("Content-Encoding") == "gzip":
+            body = gzip.decompress(body)
+        head, found, tail = body.partition(b"</head>")
+        if not found:
+            raise CoopqpError("the page of this version of viser has no head. Install viser 1.1.")
+        return _response(head + b'<script src="' + _SCRIPT.encode() + b'"></script></head>' + tail, "text/html")
+
+    def serving(self, inner: Callable[[Any], Awaitable[None]]) -> Callable[[Any], Awaitable[None]]:
+        """What serves a connection: this one's own, or ``inner``."""
+
+        async def serve(connection: Any) -> None:
+            await (self.hear if connection.request.path == _SOCKET else inner)(connection)
+
+        return serve
+
+
+def _response(body: bytes, kind: str) -> Any:
+    from websockets.datastructures import Headers
+    from websockets.http11 import Response
+
+    headers = Headers({"Content-Type": f"{kind}; charset=utf-8", "Content-Length": str(len(body))})
+    return Response(http.HTTPStatus.OK, "OK", headers, body)
 
 
 def is_own(host: str | None, origin: str | None, *, names: frozenset[str], port: int) -> bool:
@@ -41,7 +90,7 @@ def _names(address: str, names: frozenset[str], port: int) -> bool:
         return False
 
 
-def _guard(inner: Callable[[Any, Any], Any] | None, host: str) -> Callable[[Any, Any], Any]:
+def _guard(inner: Callable[[Any, Any], Any] | None, host: str, script: OwnScript | None) -> Callable[[Any, Any], Any]:
     """``process_request`` of a server of websockets that refuses foreign requests before ``inner`` sees them."""
     from websockets.datastructures import Headers
     from websockets.http11 import Response
@@ -55,14 +104,20 @@ def _guard(inner: Callable[[Any, Any], Any] | None, host: str) -> Callable[[Any,
             own = False
         if not own:
             return Response(http.HTTPStatus.FORBIDDEN, "Forbidden", Headers(), b"This page is for its own address.\n")
-        return None if inner is None else inner(connection, request)
+        if script is None or request.headers.get("Upgrade"):
+            return None if inner is None else inner(connection, request)
+        own_answer = script.answer(request.path)
+        if own_answer is not None or inner is None:
+            return own_answer
+        response = inner(connection, request)
+        return script.into(response) if request.path.partition("?")[0] == "/" else response
 
     return process_request
 
 
 @contextlib.contextmanager
-def guarded_servers(host: str) -> Iterator[None]:
-    """While this lasts, servers that viser starts get the guard.
+def guarded_servers(host: str, script: OwnScript | None = None) -> Iterator[None]:
+    """While this lasts, servers that viser starts get the guard, and a script of our own if there is one.
 
     Raises:
         CoopqpError: viser has started its server in another way, so nothing guards it.
@@ -71,11 +126,12 @@ def guarded_servers(host: str) -> Iterator[None]:
 
     plain, guarded = server.serve, []
 
-    def serve(*arguments: Any, process_request: Any = None, **options: Any) -> Any:
+    def serve(handler: Any, *arguments: Any, process_request: Any = None, **options: Any) -> Any:
         if str(getattr(process_request, "__module__", "")).startswith("viser"):
             guarded.append(process_request)
-            process_request = _guard(process_request, host)
-        return plain(*arguments, process_request=process_request, **options)
+            process_request = _guard(process_request, host, script)
+            handler = handler if script is None else script.serving(handler)
+        return plain(handler, *arguments, process_request=process_request, **options)
 
     with _LOCK:
         server.serve = serve  # type: ignore[misc,assignment]

@@ -79,7 +79,7 @@ def _step(step: ControlStep) -> str:
     cell = step.cell
     share = np.abs(step.velocity) / cell.limits.velocity
     rows = []
-    for name, own in zip(cell.arm_names, cell.v_slices, strict=True):
+    for name, own in cell.blocks.items():
         j = own.start + int(share[own].argmax())
         rows.append((name, f"{100.0 * share[j]:.2f} %", cell.joint_names[j].split("/", 1)[1]))
     good = step.status not in (Status.BLOCKED, Status.OFF_PATH, Status.HOLDING, Status.FAULT)

@@ -236,24 +236,31 @@ class Stage:
 
     def show(self, sample: int) -> None:
         """Move the scene to a sample (0 to T) of the run, and mark the joints and arms with binding limits."""
-        q = self.recording.q[sample]
+        if self._gap is not None and self._nearest is not None:
+            times, points = self._nearest
+            i = int(np.abs(times - self.recording.time[sample]).argmin())
+            self._gap.points = points[i : i + 1]
+        self.place(self.recording.q[sample], self.limits(sample))
+
+    def place(self, q: Array, limits: tuple[BindingLimit, ...]) -> pin.SE3:
+        """Move the arms to ``q`` (nq,) and the object with them, and mark joints and arms with binding limits.
+
+        Returns:
+            T_world_object.
+        """
         pin.forwardKinematics(self.cell.model, self._data, q)
         for joint, frame in self._links.items():
             _place(frame, self._data.oMi[joint])
         for handle, joints in self._sticks:
             handle.points = self._stick_points(joints)
-        tool = metrics.tool_placements(self.cell, [q])[0][0]
-        _place(self._object, tool * self._first_grasp)
+        pose: pin.SE3 = metrics.tool_placements(self.cell, [q])[0][0] * self._first_grasp
+        _place(self._object, pose)
         for label, place in zip(self._names, name_places(self.cell, q), strict=True):
             label.position = place
-        if self._gap is not None and self._nearest is not None:
-            times, points = self._nearest
-            i = int(np.abs(times - self.recording.time[sample]).argmin())
-            self._gap.points = points[i : i + 1]
-        limits = self.limits(sample)
         if limits != self._shown:
             self._mark(limits)
             self._shown = limits
+        return pose
 
     def put_object(self, pose: pin.SE3) -> None:
         """Show the object at another pose than in the first arm's hand: before a run the arms may not reach it."""

@@ -26,7 +26,7 @@ from coopqp.output import check_file, write_files
 from coopqp.simulation.evaluation.figures import worst_status
 from coopqp.simulation.recording.recording import Recording
 from coopqp.visualization.cell_overview import Glance, shortfall
-from coopqp.visualization.guarded import guarded_servers
+from coopqp.visualization.guarded import OwnScript, guarded_servers
 from coopqp.visualization.run_view import ALERT, FIELD_OF_VIEW, READOUT_SHARE, Stage
 
 #: Pictures per second of the page, and their largest number.
@@ -49,14 +49,14 @@ def require_viser() -> Any:
     return needed("viser", "viewer", "viser")
 
 
-def _serve(viser: Any, host: str, port: int) -> Any:
+def _serve(viser: Any, host: str, port: int, script: OwnScript | None = None) -> Any:
     """Start a server of viser without its printed banner. It refuses requests of foreign pages."""
     server = None
     try:
-        with guarded_servers(host), contextlib.redirect_stdout(io.StringIO()):
+        with guarded_servers(host, script), contextlib.redirect_stdout(io.StringIO()):
             server = viser.ViserServer(host=host, port=port, verbose=False)
     except CoopqpError:
-        _stop(server)
+        stop_server(server)
         raise
     return server
 
@@ -70,21 +70,22 @@ def _offline(page: Path) -> Iterator[Any]:
     try:
         yield server
     finally:
-        _stop(server)
+        stop_server(server)
 
 
-def _opened(host: str, port: int) -> Any:
-    """A server of viser, or a named error."""
+def open_server(host: str, port: int, script: OwnScript | None = None) -> Any:
+    """A server of viser, or a named error; :func:`stop_server` ends it."""
     viser = require_viser()
     if isinstance(port, bool) or not isinstance(port, int) or not 0 <= port < 65536:
         raise InvalidInputError(f"port is {port!r}", "LiveViewer", "Give a number from 0 (any) to 65535.")
     try:
-        return _serve(viser, host, port)
+        return _serve(viser, host, port, script)
     except OSError as error:
         raise InvalidInputError(f"cannot listen on {host}:{port} ({error})", "LiveViewer", "Use --port 0.") from error
 
 
-def _stop(server: Any) -> None:
+def stop_server(server: Any) -> None:
+    """Stop serving."""
     with contextlib.redirect_stdout(io.StringIO()):
         server.stop()
 
@@ -125,7 +126,8 @@ def _angle(deg: float) -> str:
     return "below 1e-6°" if deg < 1e-6 else f"{deg:.2g}°"
 
 
-def _frame_camera(server: Any, stage: Stage) -> None:
+def frame_camera(server: Any, stage: Stage) -> None:
+    """Let new pages look at the whole scene."""
     position, target = stage.camera()
     server.scene.set_up_direction("+z")
     server.initial_camera.position = tuple(float(x) for x in position)
@@ -156,7 +158,7 @@ def export_html(
     page = Path(file)
     with _offline(page) as server:
         stage = Stage(server.scene, recording, sticks=sticks)
-        _frame_camera(server, stage)
+        frame_camera(server, stage)
         hud = server.scene.add_label(
             "/readout",
             readout(stage, 0),
@@ -213,17 +215,17 @@ class LiveViewer:
 
     def _open(self, show: Callable[[], None], *, host: str, port: int, sticks: bool) -> None:
         self._sticks = sticks
-        self._server = _opened(host, port)
+        self._server = open_server(host, port)
         try:
             show()
         except BaseException:
-            _stop(self._server)
+            stop_server(self._server)
             raise
         self.url = f"http://{host}:{self._server.get_port()}"
 
     def _show_run(self, recording: Recording) -> None:
         self.stage = Stage(self._server.scene, recording, sticks=self._sticks)
-        _frame_camera(self._server, self.stage)
+        frame_camera(self._server, self.stage)
         self._add_controls(recording)
 
     def __enter__(self) -> LiveViewer:
@@ -234,13 +236,13 @@ class LiveViewer:
 
     def close(self) -> None:
         """Stop serving."""
-        _stop(self._server)
+        stop_server(self._server)
 
     def _add_controls(self, recording: Recording) -> None:
         gui = self._server.gui
         gui.configure_theme(show_share_button=False)
         name, made = title_of(recording)
-        gui.add_markdown(f"**{_plain(name)}**\n\n{_plain(made)}")
+        gui.add_markdown(f"**{plain_text(name)}**\n\n{plain_text(made)}")
         end = max(float(recording.time[-1]), 1e-6)
         self._time = gui.add_slider("time [s]", min=0.0, max=end, step=end / 2000.0, initial_value=0.0)
         self._playing = gui.add_checkbox("play", initial_value=True)
@@ -252,7 +254,7 @@ class LiveViewer:
     def _show(self, sample: int) -> None:
         with self._server.atomic():
             self.stage.show(sample)
-            self._text.content = "\n\n".join(_plain(line) for line in readout(self.stage, sample).split("\n"))
+            self._text.content = "\n\n".join(plain_text(line) for line in readout(self.stage, sample).split("\n"))
         self._shown = sample
 
     def update(self, elapsed: float) -> int:
@@ -285,7 +287,7 @@ class LiveViewer:
             last = now
 
 
-def _plain(text: str) -> str:
+def plain_text(text: str) -> str:
     """Text with escaped Markdown characters."""
     return "".join(f"\\{c}" if c in "\\`*_{}[]<>#|~" else c for c in text)
 
@@ -321,8 +323,8 @@ class CellViewer(LiveViewer):
         gui = self._server.gui
         gui.configure_theme(show_share_button=False)
         verdict, *lines = [*found.lines(), *more.splitlines()]
-        text = "\n\n".join(_plain(line) for line in lines)
-        gui.add_markdown(f"**{_plain(found.name.replace('_', ' '))}**\n\n**{_plain(verdict)}**\n\n{text}")
+        text = "\n\n".join(plain_text(line) for line in lines)
+        gui.add_markdown(f"**{plain_text(found.name.replace('_', ' '))}**\n\n**{plain_text(verdict)}**\n\n{text}")
         self._button = gui.add_button("Run", color="blue")
         self._button.on_click(lambda _: self._press())
         self._text = gui.add_markdown("")
@@ -347,7 +349,7 @@ class CellViewer(LiveViewer):
             try:
                 recording = self._run(progress=progress)
             except CoopqpError as error:
-                self._text.content = f"**refused**\n\n{_plain(' '.join(str(error).split()))}"
+                self._text.content = f"**refused**\n\n{plain_text(' '.join(str(error).split()))}"
                 self._button.disabled = False
                 return 0
             self._server.scene.reset()
@@ -372,7 +374,7 @@ def _glance_stage(server: Any, found: Glance, *, sticks: bool) -> Stage:
     stage = Stage(server.scene, found.recording(), sticks=sticks)
     stage.put_object(found.pose)
     mark_glance(server.scene, found)
-    _frame_camera(server, stage)
+    frame_camera(server, stage)
     return stage
 
 

@@ -11,9 +11,11 @@ import numpy as np
 import pinocchio as pin
 
 from coopqp import (
+    Clearance,
     CollisionScene,
     LinePath,
     QPController,
+    Replanner,
     check_path,
     find_path,
     inverse_kinematics,
@@ -57,6 +59,22 @@ for other in (turned, ArmGoal("right", at_goal)):
 # What is impossible is named; what is not found is not denied.
 high = pin.SE3(goal.rotation, goal.translation + np.array([0, 0, 2.0]))
 print(find_path(cell, grasp, start, high, scene, q_start=q_start).reason)
+
+# A body that comes into the way in motion: the object goes round it, without a stop.
+below, inside = (pin.SE3(np.eye(3), np.array([0.0, 0.0, z])) for z in (-2.0, 0.15))
+cart = Body("cart", Capsule(0.03, 0.3), below)
+scene = CollisionScene.of(replace(task, cell=cell), moving=[cart])
+line = LinePath(start, goal, duration=2.0)
+controller = QPController(cell, grasp, line, dt=0.002, constraints=[Clearance(scene)])
+replanner = Replanner(controller, scene, simulated=True)
+
+
+def move(_, step):
+    replanner.move("cart", inside if step >= 200 else below)
+
+
+run = simulate(controller, q_start=q_start, operate=move, observe=replanner.watch)
+print("went round:", replanner.found == 1, "finished:", run.finished)
 
 if "--out" in sys.argv:
     from coopqp.visualization import route_figure

@@ -25,11 +25,11 @@ SEARCHES = {
     "admittance": "tutorials/9-hold-without-squeezing.html",
     "teleoperation": "tutorials/11-stop-back-aside.html",
     "conveyor": "tutorials/12-conveyor.html",
-    "dual-arm": "tutorials/2-your-own-arms.html",
+    "dual-arm": "tutorials/14-one-robot-two-arms.html",
     "bimanual": "faq.html",
     "closed chain": "derivations.html",
     "load sharing": "howto/load.html",
-    "ROS": "howto/export.html",
+    "ROS": "howto/ros2.html",
 }
 #: Pages of every kind, for the tests of what a reader with a disability meets.
 READ = (

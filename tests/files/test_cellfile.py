@@ -499,7 +499,7 @@ ROBOT, BASE, QP = 'robot = "rx90l"', "xyz_m = [3.60, 0.50, 0.0]", 'kind = "qp" #
         (ROBOT, 'robto = "rx90l"', "arms[0]: unknown key 'robto'; did you mean 'robot'? known: name, robot,"),
         (ROBOT, 'robot = "rx90"', "arms[0].robot: there is no 'rx90'; did you mean 'rx90l'?"),
         (ROBOT, "", "arms[0]: give one of robot, urdf, mjcf"),
-        (ROBOT, f'{ROBOT}\nurdf = "a.urdf"', "arms[0]: give one of robot, urdf, mjcf, not robot and urdf"),
+        (ROBOT, f'{ROBOT}\nurdf = "a.urdf"', "arms[0]: give one of robot, urdf, mjcf, of, not robot and urdf"),
         (ROBOT, 'urdf = "a.urdf"', "arms[0]: tool_frame is missing"),
         (ROBOT, 'urdf = "a.urdf"\ntool_frame = "tool"', "arm 'master': there is no file"),
         (ROBOT, f'{ROBOT}\ntool_frame = "flnge"', "Did you mean 'flange'?"),

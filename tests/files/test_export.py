@@ -140,6 +140,16 @@ def test_a_bag_is_read_back_exactly(run: Recording, paper: Scenario, tmp_path: P
     np.testing.assert_array_equal([[p.position.x, p.position.y, p.position.z] for p in poses], run.reference[:, :3, 3])
 
 
+def test_an_operators_calls_are_in_the_bag(run: Recording, tmp_path: Path) -> None:
+    calls = [[3, "pause", None, 0.2], [7, "reverse", 0.1, 0.2], [7, "jog", [[0.1] * 6, "world", 0.1], 0.2]]
+    called = replace(run, metadata={**run.metadata, "calls": calls})
+    found = messages(write_bag(called, tmp_path / "bag"))["/operator_calls"]
+    assert [m.schema.name for m in found] == ["std_msgs/msg/String"] * 2
+    texts = ["pause", 'reverse 0.1; jog [[0.1, 0.1, 0.1, 0.1, 0.1, 0.1], "world", 0.1]']
+    assert [m.ros_msg.data for m in found] == texts
+    assert [m.log_time_ns for m in found] == [round(1e9 * run.time[i]) for i in (3, 7)]
+
+
 def test_a_trajectory_is_the_command_of_an_arm(run: Recording, paper: Scenario, tmp_path: Path) -> None:
     topics = messages(write_bag(run, tmp_path / "bag"))
     for arm, own in zip(paper.cell.arm_names, paper.cell.v_slices, strict=True):

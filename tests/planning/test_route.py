@@ -9,9 +9,10 @@ import numpy as np
 import pinocchio as pin
 import pytest
 import route_cases
+import route_shelves
 from marks import slow_but_first
 
-from coopqp import CollisionScene, InvalidInputError, JointLimits, LinePath, find_path, inverse_kinematics
+from coopqp import CollisionScene, InvalidInputError, JointLimits, LinePath, QPController, find_path, inverse_kinematics
 from coopqp.collision import Body, Box, Capsule
 from coopqp.collision.distances import Distances
 from coopqp.collision.edges_plain import PlainEdges
@@ -21,6 +22,7 @@ from coopqp.paths.geometry import blended
 from coopqp.planning import ArmGoal, FreeTurn, PathVerdict, Route, RouteVerdict, TurnedGoal
 from coopqp.planning.route.duration import estimated_duration
 from coopqp.planning.route.edges import EdgeLimits, limits_with
+from coopqp.planning.route.sampling import samples_of
 from coopqp.planning.route.tree import STEP, Pose, distance
 from coopqp.scenarios import dual_arm7
 
@@ -275,6 +277,26 @@ def test_the_estimated_duration_of_one_joint_is_that_of_its_trapezoid(
     assert estimated_duration(limits, s, way * s[:, None]) == pytest.approx(exact, rel=0.02)
 
 
+def test_samples_of_all_pieces_at_once_are_those_of_each_and_the_object_moves_no_further_between_them() -> None:
+    rng = np.random.default_rng(3)
+    poses = [pin.SE3(pin.exp3(rng.normal(size=3)), rng.normal(size=3)) for _ in range(4)]
+    lines = [line for a, b in pairwise(poses) if (line := LinePath(a, b, duration=1.0).straight())]
+    geometry = blended(lines, distance=np.array([0.1, 0.3]), angle=np.ones(2))
+    s, rows, motion = samples_of(geometry)
+    assert np.isin(geometry.marks, s).all()
+    R, p = geometry.poses(s)
+    np.testing.assert_allclose(rows, np.hstack([R.reshape(-1, 9), p]), atol=1e-12)
+    # The oracle: lengths of chains of short chords between samples.
+    fine = np.linspace(s[:-1], s[1:], 30)
+    for k, (low, high) in enumerate(pairwise(s)):
+        R, p = geometry.poses(fine[:, k])
+        way = np.linalg.norm(np.diff(p, axis=0), axis=1).sum()
+        turn = sum(np.linalg.norm(pin.log3(a.T @ b)) for a, b in pairwise(R))
+        assert low < high
+        assert way <= motion[k, 0] + 1e-9
+        assert turn <= motion[k, 1] + 1e-9
+
+
 def test_corners_are_rounded_off_within_their_own_distances() -> None:
     poses = [pin.SE3(np.eye(3), np.array(p, dtype=float)) for p in ((0, 0, 0), (1, 0, 0), (1, 1, 0), (2, 1, 0))]
     lines = [line for a, b in pairwise(poses) if (line := LinePath(a, b, duration=1.0).straight())]
@@ -284,3 +306,27 @@ def test_corners_are_rounded_off_within_their_own_distances() -> None:
     nearest = [np.linalg.norm(p - corner.translation, axis=1).min() for corner in poses[1:3]]
     assert 0.0 < nearest[0] <= 0.05 * np.sqrt(2.0) + 1e-9
     assert nearest[1] < 1e-3
+
+
+def test_elbows_go_over_to_others_where_their_least_motion_does_not_get_through() -> None:
+    problem = route_shelves.problem(("bottom", "top"))
+    cell, scene = problem.cell, problem.scene
+    route = search(problem, nodes=3000)
+    assert route.verdict is RouteVerdict.FOUND
+    assert route.path is not None
+    assert route.check is not None
+    assert route.check.verdict is PathVerdict.CERTIFIED
+    assert route.path.elbows is not None
+    # The oracle: a run of a controller, its distances by coal, its chain by Pinocchio.
+    for planned in (route.path, route.timed().path):
+        controller = QPController(cell, problem.grasp, planned, dt=0.01)
+        controller.reset(problem.q_start)
+        for k in range(3000):
+            step = controller.step()
+            if k % 5 == 0:
+                assert scene.distances(step.q_next)[0].distance >= 0.01 - 1e-4
+            assert step.commanded_apart < 1e-5
+            if step.finished:
+                break
+        assert step.finished
+    assert planned.duration < route.path.duration * 1.1

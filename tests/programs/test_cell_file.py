@@ -8,6 +8,7 @@ from pathlib import Path
 import pytest
 
 from coopqp import load_cell_file
+from coopqp.cli.main import main
 from coopqp.files import CellFileError
 from coopqp.programs import Program
 from coopqp.simulation import evaluate, read_run
@@ -120,3 +121,50 @@ def test_a_file_has_a_path_or_phases(tmp_path: Path) -> None:
         load_cell_file(written(tmp_path, CELL + path))
     with pytest.raises(CellFileError, match="path is missing"):
         load_cell_file(written(tmp_path, CELL.partition("[[phases]]")[0]))
+
+
+PINS = """
+name = "pins"
+dt_s = 0.01
+[[arms]]
+name = "left"
+robot = "arm5"
+geometry = false
+base = { xyz_m = [-0.73, 0.0, 0.0] }
+[[arms]]
+name = "right"
+robot = "arm5"
+geometry = false
+base = { xyz_m = [0.73, 0.0, 0.0], rpy_deg = [0, 0, 180] }
+[grasp]
+kind = "tools"
+tools.left = { xyz_m = [-0.25, 0.0, 0.0], rpy_deg = [0, 90, 0] }
+tools.right = { xyz_m = [0.25, 0.0, 0.0], rpy_deg = [180, 90, 0] }
+free = [
+  { arm = "left", axis = "rx", range_deg = [-60, 60] },
+  { arm = "right", axis = "rx", range_deg = [-60, 60] },
+]
+[start]
+positions_deg = { left = [0, 10, 115, -35, 0], right = [0, 10, 115, -35, 0] }
+[path]
+kind = "line"
+start = { xyz_m = [0.0, 0.0, 0.25] }
+displacement = { translation_m = [0.02, 0.03, 0.05], rotation_vector_deg = [5, 3, 11] }
+duration_s = 3.0
+"""
+
+
+def test_grasps_of_a_cell_file_give_way(tmp_path: Path) -> None:
+    task = load_cell_file(written(tmp_path, PINS))
+    assert task.scenario.cell.joint_names[5] == "left/free_rx"
+    assert task.run().finished
+
+
+def test_a_loose_object_ends_with_status_3(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    file = written(tmp_path, PINS.replace('axis = "rx"', 'axis = "rz"'))
+    for command in ("check", "run"):
+        assert main([command, str(file)]) == 3
+        assert "the object is loose" in capsys.readouterr().err.lower()
+    bad = PINS.replace("range_deg = [-60, 60]", "range_m = [-0.1, 0.1]", 1)
+    with pytest.raises(CellFileError, match="axis 'rx' takes range_deg or range_rad"):
+        load_cell_file(written(tmp_path, bad))

@@ -97,7 +97,7 @@ def compare(shown: str, printed: str, page: str, *, numbers: bool = True) -> Non
 
 def test_each_tutorial_and_how_to_shows_a_picture() -> None:
     for page in (DOCS / "index.md", *DOCS.glob("tutorials/*.md"), *DOCS.glob("howto/*.md")):
-        assert re.search(r"!\[[^\]]{20,}\]\([^)]+\.png\)", page.read_text(encoding="utf-8")), page.name
+        assert re.search(r"!\[[^\]]{20,}\]\([^)]+\.(png|gif)\)", page.read_text(encoding="utf-8")), page.name
 
 
 def test_the_reference_has_every_public_name() -> None:

@@ -20,8 +20,9 @@ from pathlib import Path
 import pytest
 from places import CELL_FILES as CELLS, ROOT
 
-from coopqp import load_cell_file
+from coopqp import ControlStep, load_cell_file
 from coopqp.cli import demo, main as cli
+from coopqp.drivers.real_time import RealTimeRun
 from coopqp.scenarios import robot_file
 from coopqp.simulation import Tolerances
 from coopqp.visualization import plots
@@ -73,8 +74,13 @@ def name_of(page: Path) -> str:
 
 @pytest.fixture
 def place(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """A folder like a checkout, with a cell of one's own; pictures are small, and the demo draws none."""
-    draw = plots.render
+    """A folder like a checkout, with a cell of one's own; pictures are small, the demo draws none, nobody jogs long."""
+    draw, serve = plots.render, RealTimeRun.run
+
+    def serve_one_step(run: RealTimeRun, observe: Callable[[ControlStep], None]) -> None:
+        serve(run, lambda step: (observe(step), run.stop())[0])
+
+    monkeypatch.setattr(RealTimeRun, "run", serve_one_step)
     monkeypatch.setattr(plots, "render", lambda scene, view, *, width: draw(scene, view, width=min(width, 60)))
     monkeypatch.setattr(demo, "demo_pictures", lambda *_: {"picture.png": b""})
     monkeypatch.setenv("HOME", str(tmp_path))

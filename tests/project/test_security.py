@@ -53,6 +53,13 @@ TESTS = {
     "It refuses requests with a foreign `Host` or `Origin`.": (
         "tests/visualization/test_viewer.py::test_foreign_pages_get_nothing",
     ),
+    "The operator's page (`coopqp jog`) does so, too.": (
+        "tests/visualization/test_jog_page.py::test_foreign_pages_get_neither_script_nor_socket",
+    ),
+    "It takes commands from the leading page alone.": (
+        "tests/visualization/test_jog_page.py::test_keys_lead_from_the_leading_page_alone",
+        "tests/browser/test_jog_page.py::test_an_operator_leads_the_object",
+    ),
     "A report and an exported page load nothing from elsewhere.": (
         "tests/project/test_security.py::test_pages_name_nothing_elsewhere_to_be_loaded",
         "tests/browser/test_report_page.py::test_the_report_opens_offline",

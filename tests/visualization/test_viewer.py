@@ -383,7 +383,7 @@ def test_a_port_that_is_none_is_refused(run: Recording, port: Any) -> None:
 
 
 def test_text_in_markdown_stays_text() -> None:
-    assert viewer._plain("a_b *c* <d>") == "a\\_b \\*c\\* \\<d\\>"
+    assert viewer.plain_text("a_b *c* <d>") == "a\\_b \\*c\\* \\<d\\>"
 
 
 def test_other_robots_are_shown_too(scene: FakeScene, make_cell: Any) -> None:

@@ -234,13 +234,29 @@ class CompiledLoop:
 
     def retarget_motion(self, path: ServoPath, goal: pin.SE3, full: float) -> bool | None:
         """Take the way to a new target as :class:`coopqp.QPController` does; None where the definition has to say."""
-        if self.constraints or self._guarded.elbows is not None:  # which the core's own numbers lack
+        if self._guarded.elbows is not None:  # which the core's own numbers lack
+            return None
+        rows = self._rows_here()
+        if rows is None:
             return None
         numbers = np.empty(4 + SEGMENT)
-        taken: int = self._core.go_over(_numbers_of(goal), numbers, path.speed, path.spin, full)
+        taken: int = self._core.go_over(_numbers_of(goal), numbers, path.speed, path.spin, full, rows)
         if taken > 0:
             path.take(goal, numbers[4:])
         return None if taken < 0 else taken > 0
+
+    def _rows_here(self) -> int | None:
+        """Put the rows of the constraints for a step from here into the core's memory; None if one fails."""
+        if not self.constraints.velocity or self._loop.rate == 0.0:
+            return 0
+        kept = layout.Loop.from_buffer_copy(self._loop)
+        self._core.observe(None, None)
+        rows = self._put_rows()
+        failed = bool(self._said)
+        self._said.clear()
+        kept.quiet_slack, kept.quiet_approach = self._loop.quiet_slack, self._loop.quiet_approach
+        self.at["loop"][:] = np.frombuffer(kept)
+        return None if failed else rows
 
     def try_step(self) -> tuple[float, Array]:
         """σ that a step from here keeps, and the change of velocity, as in the plain loop."""

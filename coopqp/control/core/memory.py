@@ -73,8 +73,10 @@ def build_memory(
     """The core of a loop and its memory, the constants filled in.
 
     Raises:
-        NotForTheCore: a joint type, or an order of joints, that the core does not know.
+        NotForTheCore: a joint type, or an order of joints, that the core does not know, or joints that arms share.
     """
+    if chain.cell.groups:
+        raise NotForTheCore("arms share joints")
     cell, past = chain.cell, kept_samples(options.supervision, dt)
     memory = Memory(chain, unknowns=unit.size, past=past, arithmetic=arithmetic)
     at, limits = memory.at, cell.limits

@@ -104,9 +104,9 @@ class ClosedChainAhead:
         self._cell, self._avoidance = chain.cell, LimitAvoidance(chain)
         self._motion = path.grasps
         self._low, self._high = chain.cell.limits.lower, chain.cell.limits.upper
-        #: The joints that move the tools, arm by arm, and the first index of each arm.
-        self._moving = np.concatenate(chain.moving_columns)
-        self._starts = np.cumsum([0, *(len(columns) for columns in chain.moving_columns[:-1])]).tolist()
+        #: The joints that move the tools, part by part of the chain, and the first index of each part.
+        self._moving = np.concatenate(chain.part_columns)
+        self._starts = np.cumsum([0, *(len(columns) for columns in chain.part_columns[:-1])]).tolist()
         self.forget()
 
     def forget(self) -> None:

@@ -31,8 +31,8 @@ class GridPoint(NamedTuple):
     binding: BindingLimit | None  # what makes the cap
     fastest: float  # largest |q′|
     change: float  # largest change of a slope since the knot before, less the change that is always allowed
-    to_reach_end: Array  # joint motion to where each arm's reach ends, of the joints that move the tools, arm by arm
-    steps_to_reach_end: Array  # the largest of each arm, as a multiple of the joint's motion in two steps (N,)
+    to_reach_end: Array  # joint motion to where each part's reach ends, of the joints that move the tools, part by part
+    steps_to_reach_end: Array  # the largest of each part, as a multiple of the joint's motion in two steps
     inside: bool  # all joints are inside their position limits
     corner: bool = False  # q′ jumps here
     fall: float = np.inf  # largest fall of σ by further constraints [1/s]

@@ -19,7 +19,7 @@ class LimitAvoidance:
     Near a limit at distance d the slope of a joint towards it is at most ``S (d − m) / w``, with the margin m, the way
     w, and the arm's largest slope S in units of the joints' speeds. The least self-motion that keeps these bounds is
     taken. If none does, it is the middle between the bounds that contradict each other. An arm with more than one joint
-    beyond six uses the self-motion that moves the joint that is worst off.
+    beyond six uses the self-motion that moves the joint that is worst off. Arms that share joints are one arm here.
 
     Args:
         chain: evaluated and inverted where it is asked.
@@ -29,7 +29,8 @@ class LimitAvoidance:
         self._chain = chain
         limits = chain.cell.limits
         self._low, self._high = limits.lower + LIMIT_MARGIN, limits.upper - LIMIT_MARGIN
-        self._arms: list[npt.NDArray[np.intp]] = [c for c in chain.moving_columns if len(c) > 6]
+        parts = zip(chain.parts, chain.part_columns, strict=True)
+        self._arms: list[npt.NDArray[np.intp]] = [c for part, c in parts if len(c) > 6 * len(part)]
 
     def led_away(self, positions: Array, slope: Array) -> Array:
         """Slopes (nv,) at positions (nv,), those of redundant arms changed where a joint nears a limit."""

@@ -44,7 +44,7 @@ class StallBound:
         """``z ≤ σ²`` at a :class:`coopqp.Knot`, with the largest σ for which ``v T/2 + n dt v`` keeps the distance."""
         cell, slope = knot.state.cell, knot.slope
         speed = max(
-            float(np.linalg.norm(knot.state.jacobian(k)[:3] @ slope[own])) for k, own in enumerate(cell.v_slices)
+            float(np.linalg.norm(knot.state.jacobian(k)[:3] @ slope[own])) for k, own in enumerate(cell.columns)
         )
         to_rest = float((np.abs(slope) / cell.limits.acceleration).max())
         known = self.samples * self.dt * speed  # distance per σ while the stall is not known

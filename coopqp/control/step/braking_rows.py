@@ -18,9 +18,11 @@ Joints that brake together keep all rows, and so do joints at rest. See docs/der
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from typing import final
 
 import numpy as np
+import pinocchio as pin
 
 from coopqp.constraints.velocity import Rows
 from coopqp.model.chain import Chain, jacobian_slope
@@ -56,7 +58,7 @@ class BrakingRows:
         self._metric = np.where(np.isfinite(cell.limits.velocity), cell.limits.velocity, 1.0) ** -2.0
         names = [name.partition("/")[::2] for name in cell.joint_names]
         self.labels = (
-            *(BindingLimit(arm, "", LimitKind.SINGULARITY) for arm in cell.arm_names),
+            *(BindingLimit(cell.arm_names[part[0]], "", LimitKind.SINGULARITY) for part in chain.parts),
             *(BindingLimit(arm, joint, LimitKind.POSITION) for arm, joint in names),
             *(BindingLimit(arm, joint, LimitKind.ACCELERATION) for arm, joint in names),
         )
@@ -91,14 +93,28 @@ class BrakingRows:
         return Rows(G[some], lower[some], upper[some], np.full(int(some.sum()), GIVES_WAY), owner[some])
 
     def _singular_edges(self, q: Array, about: Array) -> tuple[Array, Array]:
-        """Distances of the arms to singularity (N,), and their gradients (N, nv)."""
-        chain = self._chain
-        distances, away = np.empty(chain.n_arms), np.zeros((chain.n_arms, chain.nv))
-        for k, T in enumerate(CellState(chain.cell, q).T_world_tool):
-            at_tool = twist_at(chain.jacobians[k], T.translation - about)
-            sigma, away[k, chain.moving_columns[k]] = least_singular_value(at_tool)
-            distances[k] = sigma - SINGULAR_MARGIN
+        """Distances of the chain's parts to singularity (P,), and their gradients (P, nv)."""
+        chain, tools = self._chain, CellState(self._chain.cell, q).T_world_tool
+        distances, away = np.empty(len(chain.parts)), np.zeros((len(chain.parts), chain.nv))
+        for i, (part, columns) in enumerate(zip(chain.parts, chain.part_columns, strict=True)):
+            if len(part) == 1:
+                at_tool = twist_at(chain.jacobians[part[0]], tools[part[0]].translation - about)
+                sigma, away[i, columns] = least_singular_value(at_tool)
+            else:
+                sigma, away[i, columns] = self._group_edge(i, tools, about)
+            distances[i] = sigma - SINGULAR_MARGIN
         return distances, away
+
+    def _group_edge(self, i: int, tools: Sequence[pin.SE3], about: Array) -> tuple[float, Array]:
+        """The least singular value of a group of arms about their tools, and its gradient (n,)."""
+        chain = self._chain
+        at_tools = [twist_at(J, T.translation - about) for J, T in zip(chain.jacobians, tools, strict=True)]
+        U, s, Vt = np.linalg.svd(chain.stacked(i, at_tools), full_matrices=False)
+        slopes = list(at_tools)
+        for k in chain.parts[i]:
+            own = np.searchsorted(chain.part_columns[i], chain.moving_columns[k])
+            slopes[k] = jacobian_slope(at_tools[k], Vt[-1][own])
+        return float(s[-1]), U[:, -1] @ chain.stacked(i, slopes)
 
     def _bounds(self, towards: Array, distances: Array, v: Array, h: float, T: float) -> Array:
         """Largest ``towards v⁺`` (m,), for edges at distances (m,) that come closer at ``towards v`` (m, nv).

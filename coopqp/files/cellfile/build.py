@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import contextlib
 import importlib
+import math
 import warnings
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -27,7 +28,7 @@ from coopqp.drivers.kinds import DRIVER_KINDS, FOR_EVERY_ARM
 from coopqp.drivers.timing import MonotonicTime
 from coopqp.errors import CoopqpError, InvalidInputError, MissingExtraError, StartWarning, UnknownNameError
 from coopqp.files.cellfile.bodies import build_scene
-from coopqp.files.cellfile.build_arm import build_arm, build_placement, build_stiffness, in_radians
+from coopqp.files.cellfile.build_arm import build_cell, build_placement, build_stiffness, in_radians
 from coopqp.files.cellfile.build_phases import build_program, first_pose
 from coopqp.files.cellfile.error import CellFileError
 from coopqp.files.cellfile.explain import explain, in_words_of_the_file
@@ -37,6 +38,7 @@ from coopqp.files.cellfile.schema import (
     MAX_STEPS,
     CellFile,
     CommonErrorTable,
+    FreeTable,
     StartTable,
 )
 from coopqp.files.cellfile.search_tables import SearchTable
@@ -48,6 +50,7 @@ from coopqp.forces.wrist_sensor import SensorMaps, WristSensor
 from coopqp.model.branches import amount
 from coopqp.model.cell import RobotCell, slides
 from coopqp.model.common_error import CommonError
+from coopqp.model.free_directions import freed_cell
 from coopqp.model.grasp import Grasp
 from coopqp.model.inverse_kinematics import inverse_kinematics
 from coopqp.model.shapes import Body, Box
@@ -245,6 +248,16 @@ class CellRun:
         """What the file says of the wrist sensors, by arm; for :class:`coopqp.ForceOptions`."""
         return known_sensors(self.settings)
 
+    def metadata(self) -> dict[str, Any]:
+        """What its recordings say of it."""
+        s = self.scenario
+        return {
+            "scenario": s.name,
+            "method": self.controller_kind,
+            "object": describe_object(s.object_size, s.T_object_body),
+            "settings": self.settings.model_dump(mode="json", exclude_none=True, exclude_unset=True),
+        }
+
     def run(self, *, progress: ProgressCallback | None = None, operate: Operate | None = None) -> Recording:
         """Run the controller on the plant; ``operate`` as in :func:`coopqp.simulate`.
 
@@ -252,12 +265,6 @@ class CellRun:
             CellFileError: the controller refuses the start.
         """
         s = self.scenario
-        metadata = {
-            "scenario": s.name,
-            "method": self.controller_kind,
-            "object": describe_object(s.object_size, s.T_object_body),
-            "settings": self.settings.model_dump(mode="json", exclude_none=True, exclude_unset=True),
-        }
         try:
             recording = simulate(
                 self.led().controller(),
@@ -268,7 +275,7 @@ class CellRun:
                 patience=self.settings.patience_s,
                 progress=progress,
                 operate=operate,
-                metadata=metadata,
+                metadata=self.metadata(),
             )
             return with_clearance(recording, self.scene, avoided=self.avoids)
         except InvalidInputError as error:
@@ -359,7 +366,7 @@ def _task(file: CellFile, folder: Path) -> CellTask:
 def _parts(file: CellFile, folder: Path) -> _Parts:
     """The task, without a search."""
     build_options(Tolerances, file.verdict)  # a bad one is refused before any work is done
-    cell = RobotCell([build_arm(arm, folder) for arm in file.arms])
+    cell = build_cell(file.arms, file.robots, folder)
     path: ObjectPath | None = None
     if isinstance(file.path, SearchTable):
         T_start = build_placement(file.path.start)
@@ -379,6 +386,11 @@ def _parts(file: CellFile, folder: Path) -> _Parts:
             "a latched grasp follows from the start, so no start can be found for it: give start.positions_deg or "
             "start.positions_rad, or another kind of grasp."
         )
+    if file.grasp.free:
+        freed = freed_cell(cell, _freed(grasp, file.grasp.free))
+        if q_start is not None:
+            q_start = freed.configuration(cell.positions(q_start))
+        cell, grasp = freed.cell, freed.grasp
     if file.path is None:
         path = build_program(file.phases, file.signals_s, cell, grasp, _path)
     near = q_start is not None and file.start.inverse_kinematics and not latched
@@ -423,24 +435,25 @@ def build(file: CellFile, folder: Path) -> CellRun:
     return CellRun(scenario, kind, options, file.settle_s, file.longest_s, file, disturbances, stiffness, scene, avoids)
 
 
-def _by_arm(given: Mapping[str, Any], cell: RobotCell, where: str) -> list[Any]:
-    """The values of a table with one key per arm, in the order of the arms. Every arm must have a key."""
+def _by_name(given: Mapping[str, Any], names: Sequence[str], where: str) -> list[Any]:
+    """The values of a table with one key per arm (or robot), in their order. Each must have a key."""
     for name in given:
-        if name not in cell.arm_names:
-            raise UnknownNameError("arm", name, cell.arm_names, where)
-    missing = [name for name in cell.arm_names if name not in given]
+        if name not in names:
+            raise UnknownNameError("arm", name, names, where)
+    missing = [name for name in names if name not in given]
     if missing:
         raise CoopqpError(f"{where}: arm '{missing[0]}' is missing.")
-    return [given[name] for name in cell.arm_names]
+    return [given[name] for name in names]
 
 
 def _start(table: StartTable, cell: RobotCell) -> Array:
     degrees = table.positions_deg is not None
     where = f"start.positions_{'deg' if degrees else 'rad'}"
-    values = _by_arm(table.positions_deg or table.positions_rad or {}, cell, where)
+    blocks = cell.blocks
+    values = _by_name(table.positions_deg or table.positions_rad or {}, tuple(blocks), where)
     sliding = slides(cell)
     parts = []
-    for name, own, numbers in zip(cell.arm_names, cell.v_slices, values, strict=True):
+    for (name, own), numbers in zip(blocks.items(), values, strict=True):
         parts.append(in_radians(numbers, sliding[own], f"{where}.{name}", degrees=degrees))
     return cell.configuration(np.concatenate(parts))
 
@@ -451,7 +464,17 @@ def _grasp(file: CellFile, cell: RobotCell) -> Grasp:
         grasp.check_arms(cell)
         return grasp
     assert file.grasp.kind == "tools"
-    return Grasp(tuple(build_placement(tool) for tool in _by_arm(file.grasp.tools, cell, "grasp.tools")))
+    return Grasp(tuple(build_placement(tool) for tool in _by_name(file.grasp.tools, cell.arm_names, "grasp.tools")))
+
+
+def _freed(grasp: Grasp, tables: Sequence[FreeTable]) -> Grasp:
+    """A grasp that gives way as the tables say."""
+    for table in tables:
+        degrees = table.range_deg is not None
+        low, high = table.range_deg or table.range_rad or table.range_m or (0.0, 0.0)
+        ends = (math.radians(low), math.radians(high)) if degrees else (low, high)
+        grasp = grasp.freed(table.arm, table.axis, range=ends)
+    return grasp
 
 
 def _path(path: LineTable | WaypointsTable | HoldTable | TimedTable) -> ObjectPath:

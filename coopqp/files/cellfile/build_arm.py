@@ -12,10 +12,12 @@ import pinocchio as pin
 from coopqp.errors import CoopqpError, InvalidInputError
 from coopqp.files.cellfile.basic import PlacementTable
 from coopqp.files.cellfile.paths import resolve
-from coopqp.files.cellfile.schema import ArmTable
-from coopqp.model.cell import Arm, RobotCell, slides
+from coopqp.files.cellfile.schema import ArmTable, RobotTable
+from coopqp.model.cell import Arm, Robot, RobotCell, slides
 from coopqp.model.description import check_nesting, check_urdf, description_file
+from coopqp.model.joint_limits import LIMIT_FIELDS
 from coopqp.scenarios.arms import robot_arm, robot_file
+from coopqp.scenarios.robots import robot_path
 from coopqp.spatial import Array, as_placement
 
 
@@ -84,6 +86,52 @@ def build_arm(table: ArmTable, folder: Path) -> Arm:
         raise CoopqpError(f"arm '{table.name}': {error}") from error
 
 
+def build_cell(arms: Sequence[ArmTable], robots: Sequence[RobotTable], folder: Path) -> RobotCell:
+    """The cell of the tables of a file; its files are relative to ``folder``."""
+    made: dict[str, Arm] = {}
+    for table in robots:
+        tools = {arm.name: str(arm.tool_frame) for arm in arms if arm.of == table.name}
+        made |= {arm.name: arm for arm in _robot(table, tools, folder).arms}
+    return RobotCell([build_arm(arm, folder) if arm.of is None else made[arm.name] for arm in arms])
+
+
+def _robot(table: RobotTable, tools: dict[str, str], folder: Path) -> Robot:
+    """The robot of a table, with its arms and their tool frames."""
+    where = f"robot '{table.name}'"
+    dirs = [resolve(d, folder, f"{where}: package_dirs") for d in table.package_dirs]
+    if table.robot is not None:
+        file = robot_path(table.robot)
+    else:
+        file = resolve(str(table.urdf), folder, f"{where}: urdf", package_dirs=dirs)
+    locked = _locked(table, lambda: _urdf(file, table.name))
+    common: dict[str, Any] = {
+        "name": table.name, "T_world_base": build_placement(table.base), "package_dirs": dirs,
+        "geometry": table.geometry, "locked_joints": locked,
+    }  # fmt: skip
+    robot = Robot(file, tools, **common)
+    if not table.limits:
+        return robot
+    alone = RobotCell([next(iter(robot.arms))])
+    kinds = {name.partition("/")[2]: slide for name, slide in zip(alone.joint_names, slides(alone), strict=True)}
+    changes: dict[str, dict[str, float]] = {field: {} for field in LIMIT_FIELDS}
+    for joint in sorted(table.limits, key=lambda name: name != "*"):
+        limits = table.limits[joint]
+        if joint != "*" and joint not in kinds:
+            raise CoopqpError(f"{where}: limits: the model has no joint '{joint}'; joints: {', '.join(kinds)}.")
+        meant = [name for name, slide in kinds.items() if not slide] if joint == "*" else [joint]
+        for field, per in (("lower", ""), ("upper", ""), ("velocity", "_per_s"), ("acceleration", "_per_s2")):
+            for unit in ("deg", "rad"):
+                value = getattr(limits, f"{field}_{unit}{per}")
+                if value is None:
+                    continue
+                if isinstance(value, list):
+                    raise CoopqpError(f"{where}: limits.{joint}.{field}_{unit}{per}: give one number.")
+                for name in meant:
+                    changes[field][name] = float(np.deg2rad(value)) if unit == "deg" and not kinds[name] else value
+    common |= {f"{field}_limits": values for field, values in changes.items() if values}
+    return Robot(file, tools, **common)
+
+
 def build_stiffness(tables: Sequence[ArmTable], cell: RobotCell) -> Array | None:
     """Kp of all joint servos (nv,) [N·m/rad or N/m]; None if no arm tells it.
 
@@ -127,7 +175,7 @@ def _mjcf(file: Path, arm: str) -> pin.Model:
     return pin.buildModelFromMJCF(str(file))
 
 
-def _locked(table: ArmTable, model: Callable[[], pin.Model]) -> dict[str, float] | None:
+def _locked(table: ArmTable | RobotTable, model: Callable[[], pin.Model]) -> dict[str, float] | None:
     """Positions of the locked joints [rad or m]; prismatic joints are in metres under the keys of either unit."""
     locked = dict(table.locked_joints_rad)
     if table.locked_joints_deg:
@@ -137,7 +185,7 @@ def _locked(table: ArmTable, model: Callable[[], pin.Model]) -> dict[str, float]
             return {**locked, **table.locked_joints_deg}
         for name, value in table.locked_joints_deg.items():
             if name in locked:
-                raise CoopqpError(f"arm '{table.name}': '{name}' is in locked_joints_deg and in locked_joints_rad.")
+                raise CoopqpError(f"'{table.name}': '{name}' is in locked_joints_deg and in locked_joints_rad.")
             known = whole.existJointName(name)
             slide = known and whole.joints[whole.getJointId(name)].shortname().startswith("JointModelP")
             locked[name] = value if slide else float(np.deg2rad(value))

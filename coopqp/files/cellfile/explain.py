@@ -138,6 +138,7 @@ _WORDS: tuple[tuple[str, str | Callable[[re.Match[str]], str]], ...] = (
     (r"T_world_base", "base"),
     (r"\bArm\.name\b", "arms: name"),
     (r"\bJointLimits\b", "limits"),
+    (r"Or give both as arms of one robot: coopqp\.Robot", "Or give both as arms of one robot: [[robots]]"),
     (r"\bRobotCell\b", "arms"),
     (r"\b(QP|PseudoInverse|IndependentQP)Options\b", "controller"),
     (r"\b(Supervision|Preview|Posture)Options\b", lambda found: f"controller.{found[1].lower()}"),

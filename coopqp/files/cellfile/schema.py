@@ -38,6 +38,7 @@ from coopqp.files.cellfile.search_tables import SearchTable
 from coopqp.files.cellfile.sensors import DisturbancesTable, SensorTable
 from coopqp.files.cellfile.strict import MAX_LIST, Number, Numbers, Table, problem, table_of
 from coopqp.scenarios.arms import ROBOTS
+from coopqp.scenarios.robots import SEVERAL_ARMS
 from coopqp.simulation.evaluation.assessment import Tolerances
 from coopqp.simulation.plants.physics_options import PhysicsOptions
 from coopqp.simulation.simulate import PATIENCE
@@ -65,6 +66,40 @@ class LimitsTable(Table):
         return self
 
 
+class RobotTable(Table):
+    """A robot with several arms, for example two arms on one torso, lift or rail: its model, its base, its limits.
+
+    Its arms are tables [[arms]] with ``of``. Joints that move the tools of several arms get one command.
+    """
+
+    name: Name = Field(description="unique name, without '/': prefix of joints that its arms share")
+    robot: Literal[tuple(SEVERAL_ARMS)] | None = Field(default=None, description="name of a robot that comes along")  # type: ignore[valid-type]
+    urdf: FilePath | None = Field(
+        default=None, description="URDF file: relative to this file, with ~ and $VARIABLES, or package://NAME/…"
+    )
+    geometry: bool = Field(default=True, description="read the shapes, for pictures")
+    base: PlacementTable = Field(
+        default_factory=PlacementTable, description="placement of the model's root in the world"
+    )
+    package_dirs: Annotated[list[FilePath], Len(0, 20)] = Field(
+        default=[], description="folders that resolve package://, besides those above the URDF and those of ROS"
+    )
+    locked_joints_deg: dict[Name, Angle] = Field(default={}, description="joints to lock, with their positions")
+    locked_joints_rad: dict[Name, Angle] = Field(default={}, description="the same in radians")
+    limits: dict[Name, LimitsTable] = Field(
+        default={}, description='limits in place of the model\'s, by joint; "*" for all joints that turn'
+    )
+
+    @model_validator(mode="after")
+    def _one_model(self) -> RobotTable:
+        exactly_one(self, "robot", "urdf")
+        return self
+
+
+#: Keys of an arm that are its robot's where it is the arm of one.
+_OF_ROBOT = ("base", "geometry", "package_dirs", "locked_joints_deg", "locked_joints_rad", "limits")
+
+
 class ArmTable(Table):
     """One arm: its model, its tool frame, the placement of its base, its limits."""
 
@@ -74,6 +109,7 @@ class ArmTable(Table):
         default=None, description="URDF file: relative to this file, with ~ and $VARIABLES, or package://NAME/…"
     )
     mjcf: FilePath | None = Field(default=None, description="MJCF file, in the same forms")
+    of: Name | None = Field(default=None, description="name of the robot of [[robots]] whose arm it is")
     geometry: bool = Field(default=True, description="read the shapes, for pictures")
     tool_frame: Name | None = Field(
         default=None, description="link or frame that holds the object; optional with robot"
@@ -98,9 +134,38 @@ class ArmTable(Table):
 
     @model_validator(mode="after")
     def _one_model(self) -> ArmTable:
-        if exactly_one(self, "robot", "urdf", "mjcf") != "robot" and self.tool_frame is None:
+        if exactly_one(self, "robot", "urdf", "mjcf", "of") != "robot" and self.tool_frame is None:
             raise problem("tool_frame is missing: the link or frame that holds the object")
+        given = [key for key in _OF_ROBOT if key in self.model_fields_set]
+        if self.of is not None and given:
+            raise problem(f"{given[0]} is the robot's: give it in [[robots]]")
         return self
+
+
+#: Lowest and highest position of a free direction.
+Ends = Annotated[list[Angle], Len(2, 2)]
+
+
+class FreeTable(Table):
+    """A direction in which the grasp of an arm gives way: a passive joint behind its tool."""
+
+    arm: Name = Field(description="name of the arm")
+    axis: Literal["x", "y", "z", "rx", "ry", "rz"] = Field(
+        description="slide along, or turn about, an axis of its tool"
+    )
+    range_deg: Ends | None = Field(default=None, description="lowest and highest angle")
+    range_rad: Ends | None = Field(default=None, description="the same in radians")
+    range_m: Ends | None = Field(default=None, description="of a slide")
+
+    @model_validator(mode="after")
+    def _one_unit(self) -> FreeTable:
+        given = exactly_one(self, "range_deg", "range_rad", "range_m")
+        if (given == "range_m") is self.axis.startswith("r"):
+            raise problem(f"axis '{self.axis}' takes {'range_deg or range_rad' if given == 'range_m' else 'range_m'}")
+        return self
+
+
+Frees = Annotated[list[FreeTable], Len(0, 6 * MAX_ARMS)]
 
 
 class TriangleGrasp(Table):
@@ -109,6 +174,7 @@ class TriangleGrasp(Table):
     kind: Literal["triangle"]
     alpha_m: Metres = Field(description="α: a third of the triangle's height")
     beta_m: Metres = Field(description="β: half its base")
+    free: Frees = Field(default=[], description="directions in which it gives way; three turns make a ball")
 
 
 class ToolsGrasp(Table):
@@ -116,18 +182,22 @@ class ToolsGrasp(Table):
 
     kind: Literal["tools"]
     tools: dict[Name, PlacementTable] = Field(description="placement of each arm's tool in the object frame, by arm")
+    free: Frees = Field(default=[], description="directions in which it gives way; three turns make a ball")
 
 
 class LatchedGrasp(Table):
     """The grasp follows from the tools at the start and the first pose of the path."""
 
     kind: Literal["latched"]
+    free: Frees = Field(default=[], description="directions in which it gives way; three turns make a ball")
 
 
 class StartTable(Table):
     """Start configuration of the arms; "auto", or a table without positions: coopqp finds it."""
 
-    positions_deg: Degrees | None = Field(default=None, description="position of every joint, by arm")
+    positions_deg: Degrees | None = Field(
+        default=None, description="position of every joint, by arm; of joints that arms share by their robot"
+    )
     positions_rad: Degrees | None = Field(default=None, description="the same in radians")
     inverse_kinematics: bool = Field(
         default=True,
@@ -260,6 +330,9 @@ class CellFile(Table):
 
     name: Name = Field(description="name of the run")
     arms: Annotated[list[ArmTable], Len(1, MAX_ARMS)] = Field(description="one table per arm; the first is the leader")
+    robots: Annotated[list[RobotTable], Len(0, MAX_ARMS)] = Field(
+        default=[], description="one table per robot with several arms"
+    )
     grasp: Annotated[TriangleGrasp | ToolsGrasp | LatchedGrasp, Field(discriminator="kind")] = Field(
         description="placements of the tools on the object"
     )
@@ -320,6 +393,15 @@ class CellFile(Table):
             raise problem("phases: only the controller qp follows a program")
         if self.phases and self.plant.kind != "kinematic":
             raise problem("phases: in the physics engine grips stay closed; give the kinematic plant")
+        names, used = [robot.name for robot in self.robots], {arm.of for arm in self.arms}
+        if len(set(names)) < len(names):
+            raise problem("robots: two have one name")
+        for arm in self.arms:
+            if arm.of is not None and arm.of not in names:
+                raise problem(f"arms: '{arm.name}' is of '{arm.of}', and there is no such robot in [[robots]]")
+        for name in names:
+            if name not in used:
+                raise problem(f"robots: no arm is of '{name}'; give [[arms]] with of = \"{name}\"")
         if self.disturbances is not None and self.plant.kind != "physics":
             raise problem("disturbances: only the plant physics simulates them")
         if self.collision is not None and self.collision.avoid and self.controller.kind != "qp":

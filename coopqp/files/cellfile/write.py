@@ -16,7 +16,7 @@ from coopqp.files.cellfile.error import CellFileError
 from coopqp.files.cellfile.explain import explain
 from coopqp.files.cellfile.paths import resolve
 from coopqp.files.cellfile.renamed import renewed
-from coopqp.files.cellfile.schema import ArmTable, CellFile
+from coopqp.files.cellfile.schema import ArmTable, CellFile, RobotTable
 from coopqp.forces.calibration import Calibration
 from coopqp.model.cell import RobotCell
 from coopqp.paths.timed import TimedPath
@@ -32,8 +32,8 @@ def relative(path: Path, into: Path) -> str:
         return path.absolute().as_posix()
 
 
-def move_files(tables: list[dict[str, Any]], arms: Sequence[ArmTable], folder: Path, into: Path) -> None:
-    """Rewrite the paths of the tables ``arms`` of a cell file for another folder.
+def move_files(tables: list[dict[str, Any]], arms: Sequence[ArmTable | RobotTable], folder: Path, into: Path) -> None:
+    """Rewrite the paths of the tables ``arms`` or ``robots`` of a cell file for another folder.
 
     Args:
         tables: the tables that are written.
@@ -148,6 +148,7 @@ def timed_text(
     """
     tables = settings.model_dump(exclude_none=True, exclude_unset=True)
     move_files(tables["arms"], settings.arms, folder, into)
+    move_files(tables.get("robots", []), settings.robots, folder, into)
     record = path.record()
     tables["path"] = {
         "kind": "timed",
@@ -161,7 +162,7 @@ def timed_text(
     if (elbows := record["elbows"]) is not None:
         tables["path"]["elbows"] = {name: elbows[own] for name, own in ELBOWS.items()}
     x = cell.positions(q_start)
-    positions = {name: x[own].tolist() for name, own in zip(cell.arm_names, cell.v_slices, strict=True)}
+    positions = {name: x[own].tolist() for name, own in cell.blocks.items()}
     tables["start"] = {"positions_rad": positions, "inverse_kinematics": False}
     tables.pop("steps", None)
     if dt is not None:

@@ -13,15 +13,18 @@ _STILL = 1e-9
 _BEND_SHARE = 0.8
 #: Passes forwards and backwards.
 _PASSES = 2
+#: Durations of a speed at the start that is too high altogether [s].
+_PENALTY = 100.0
 
 
-def estimated_duration(limits: JointLimits, s: Array, x: Array) -> float:
-    """Duration from rest to rest [s], by differences of the joints' positions; a few per cent off.
+def estimated_squares(limits: JointLimits, s: Array, x: Array, *, speed: float = 0.0) -> Array:
+    """Squares of the fastest speed ds/dt at samples (K,), by differences of the joints' positions; a few per cent off.
 
     Args:
         limits: of the joints.
         s: increasing parameter of the samples (K,).
         x: joint positions there (K, nv) [rad or m].
+        speed: ds/dt at the first sample. Where the joints cannot slow down from it the first square is less than its.
     """
     ds = np.diff(s)
     slope = np.abs(np.diff(x, axis=0)) / ds[:, None]
@@ -30,16 +33,26 @@ def estimated_duration(limits: JointLimits, s: Array, x: Array) -> float:
     steep = np.maximum(slope, _STILL)
     # Squares of the speed that the joints' speeds and bends allow at the samples.
     fastest = (limits.velocity / steep).min(axis=1) ** 2
-    caps = np.minimum(np.append(fastest, 0.0), np.append(0.0, fastest))
+    caps = np.minimum(np.append(fastest, 0.0), np.append(fastest[0], fastest))
     caps = np.minimum(caps, (_BEND_SHARE * limits.acceleration / np.maximum(bend, _STILL)).min(axis=1))
-    caps[0] = caps[-1] = 0.0
+    caps[0], caps[-1] = min(caps[0], speed * speed), 0.0
     square = caps
     for _ in range(_PASSES):  # what bends leave for speeding up depends on the speed of the pass before
         left = limits.acceleration - bend * square[:, None]
         ahead, back = ((part / steep).min(axis=1).clip(0.0) for part in (left[:-1], left[1:]))
         square = _slowed(_slowed(caps, 2.0 * ds * ahead)[::-1], (2.0 * ds * back)[::-1])[::-1]
-    speed = np.sqrt(square)
-    return float((2.0 * ds / np.maximum(speed[1:] + speed[:-1], _STILL)).sum())
+    return square
+
+
+def estimated_duration(limits: JointLimits, s: Array, x: Array, *, speed: float = 0.0) -> float:
+    """Duration from a speed to rest [s]; arguments as for :func:`estimated_squares`.
+
+    A speed from which the joints cannot slow down counts as a second for each of its hundredths that is too much.
+    """
+    square = estimated_squares(limits, s, x, speed=speed)
+    speeds = np.sqrt(square)
+    duration = float((2.0 * np.diff(s) / np.maximum(speeds[1:] + speeds[:-1], _STILL)).sum())
+    return duration + _PENALTY * (1.0 - float(speeds[0]) / speed) if speed > 0.0 else duration
 
 
 def _slowed(caps: Array, rises: Array) -> Array:

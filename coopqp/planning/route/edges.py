@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple, Protocol
 
@@ -12,6 +12,7 @@ import pinocchio as pin
 from coopqp.model.batch import ArmKinematics
 from coopqp.model.cell import RobotCell
 from coopqp.model.grasp import Grasp
+from coopqp.model.shapes import Body
 from coopqp.planning.clearance_check import Bodies
 from coopqp.spatial import Array
 
@@ -100,6 +101,11 @@ class SearchedBodies(Bodies, Protocol):
     """Bodies among which a way is searched: :class:`coopqp.CollisionScene`."""
 
     @property
+    def moving(self) -> Sequence[Body]:
+        """Bodies whose place is told in motion."""
+        ...
+
+    @property
     def labels(self) -> Sequence[tuple[str, str]]:
         """Names of the bodies of each pair, P of them."""
         ...
@@ -127,6 +133,10 @@ class SearchedBodies(Bodies, Protocol):
 
     def widened(self, clearance: float) -> SearchedBodies:
         """The same bodies, which keep so much more than their margins [m]."""
+        ...
+
+    def standing(self, places: Mapping[str, pin.SE3]) -> SearchedBodies:
+        """The same bodies, of which those that move stand at places in the world, or where they are by default."""
         ...
 
 

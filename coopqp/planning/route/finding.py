@@ -18,16 +18,20 @@ from coopqp.model.cell import RobotCell
 from coopqp.model.chain import Chain
 from coopqp.model.grasp import Grasp
 from coopqp.native.constants import SMALL_CLEARANCE
+from coopqp.paths.elbows import Elbows
+from coopqp.paths.timed import SpeedProfile, TimedPath
 from coopqp.planning.branch_checks import PathVerdict
-from coopqp.planning.check import check_path
+from coopqp.planning.check import PathCheck, check_motion, check_path
 from coopqp.planning.clearance_check import check_scene
 from coopqp.planning.planner import some_timing
+from coopqp.planning.route.duration import estimated_squares
 from coopqp.planning.route.edges import SPARE, EdgeLimits, Edges, SearchedBodies, Stop, columns_of, limits_with
+from coopqp.planning.route.elbows import led_ways
 from coopqp.planning.route.ends import Ends, ends_at
 from coopqp.planning.route.goals import ArmGoal, GoalPose, TurnedGoal, goal_poses
 from coopqp.planning.route.route import Route, RouteVerdict
 from coopqp.planning.route.search import Search, Searched, SearchLimits, SearchResult
-from coopqp.planning.route.shape import WIDEST, Shape, corners_of, faster, shaped
+from coopqp.planning.route.shape import WIDEST, Shape, Shaper, corners_of
 from coopqp.planning.route.shorten import shortened
 from coopqp.planning.route.tree import Node, Pose, Tree, straight
 from coopqp.planning.starts import exact_start
@@ -35,13 +39,17 @@ from coopqp.spatial import Array, Placement, as_placement
 
 #: The object's origin keeps within this of the box of start and goal, below and above [m].
 _BELOW, _ABOVE = 0.3, 0.4
-#: Time to make a way shorter and faster [s]; other ways that are searched, and nodes of such a search, besides twice
-#: those of the first.
-_BETTERING, _OTHERS, _OTHER_NODES = 0.45, 5, 100
+#: Time to make a way shorter and faster [s], and the first part of it, in which other ways are searched: so many at
+#: most, with so many nodes besides twice those of the first.
+_BETTERING, _SEARCHING, _OTHERS, _OTHER_NODES = 0.8, 0.15, 6, 100
+#: Of the shapes, so many are made faster by a few changes, and then the fastest by many.
+_PROMISING, _FEW_CHANGES, _MANY_CHANGES = 2, 50, 400
 #: Poses of a goal, of those from which the arms hold the object, that the search leads to.
 _MOST_GOALS = 3
 #: Ways that are searched until one is proved.
 _MOST_WAYS = 4
+#: Poses in which the trees of redundant arms meet with other elbows until these are led over; the shortest are tried.
+_FEW_MEETINGS, _TRIED_MEETINGS = 8, 3
 #: A given start whose joints are further from ones that hold the object is refused [rad or m].
 _OFF = 1e-2
 #: Rooms and spares are known to within this [m].
@@ -93,6 +101,7 @@ def find_path(
     began = time.perf_counter()
     where = "find_path"
     grasp.check_arms(cell)
+    cell.refuse_shared("find_path")
     check_scene(cell, scene, f"{where}: scene")
     if scene is None:
         raise InvalidInputError("no scene", f"{where}: scene", "Give a CollisionScene; without bodies use check_path.")
@@ -165,6 +174,7 @@ class _Finding:
         self._kept = EdgeLimits(-anywhere, anywhere, required.copy(), np.full(len(required), SPARE))
         self._refused: list[str] = []
         self._edges: Edges = scene.edges(self._arms, grasp, self._kept)
+        self._shaper = Shaper(edges=self._edges, limits=cell.limits)
 
     def route(self, start: pin.SE3, poses: Sequence[GoalPose], q_start: Array | None, *, all_of_them: bool) -> Route:
         """The answer; ``all_of_them``: no other pose is a goal."""
@@ -242,39 +252,73 @@ class _Finding:
         )  # fmt: skip
         search = Search(task, starts, goals, self._rng)
         result = search.result
-        for _ in range(_MOST_WAYS):
+        redundant = any(arm.n > 6 for arm in self._arms)
+        ways, meetings = 0, _FEW_MEETINGS
+        while ways < _MOST_WAYS:
             own = self._limits
-            result = search.run(SearchLimits(nodes=own.nodes, until=own.until, watch=own.watch))
-            if not result.way:
-                break
+            most = meetings if redundant else None
+            result = search.run(SearchLimits(nodes=own.nodes, until=own.until, meetings=most, watch=own.watch))
             first = time.perf_counter() - self._began
-            route = self._proved(self._shapes(task, starts, goals, result), RouteVerdict.FOUND, result, first)
+            if result.way:
+                route = self._proved(self._shapes(task, starts, goals, result), RouteVerdict.FOUND, result, first)
+                ways += 1
+            elif most is not None and len(result.meetings) >= most:
+                route = self._led(task, result, first)
+                meetings *= 2
+            else:
+                break
             if route is not None:
                 return route
             search.forget()
         return self._not_found(result)
 
+    def _led(self, task: Searched, result: SearchResult, first: float) -> Route | None:
+        """A way along which the trees met, whose elbows go over from one motion to another; None if none is proved."""
+        limits = self._cell.limits
+        until = time.perf_counter() + _BETTERING if self._limits.shortens else np.inf
+        for before, behind in sorted(result.meetings, key=lambda met: len(met[0]) + len(met[1]))[:_TRIED_MEETINGS]:
+            for led in led_ways(task, before, behind, self._rng, until):
+                squares = estimated_squares(limits, led.s, led.positions)
+                squares[np.isin(led.s, led.geometry.marks[list(led.geometry.corners)])] = 0.0
+                path = TimedPath(led.geometry, SpeedProfile(led.s, squares))
+                check = check_motion(self._cell, self._grasp, path, led.positions, self._scene)
+                if check is None or check.verdict is not PathVerdict.CERTIFIED:
+                    self._refused.append("UNDECIDED" if check is None else check.verdict.value)
+                    continue
+                path = TimedPath(
+                    led.geometry,
+                    path.profile,
+                    keeps_clear=True,
+                    elbows=Elbows.through(path.profile.clocks, led.positions),
+                )
+                return self._route(RouteVerdict.FOUND, path, check.on(path), result, first, led.positions, led.rows)
+        return None
+
     def _shapes(
         self, task: Searched, starts: list[Node], goals: list[Node], result: SearchResult
     ) -> list[Shape | None]:
         """Shapes of the way and of some others, each shortened, the fastest first; that one is made faster still."""
-        until = time.perf_counter() + _BETTERING if self._limits.shortens else np.inf
+        began = time.perf_counter()
+        until = began + _BETTERING if self._limits.shortens else np.inf
         shapes = [self._shape(shortened(self._edges, result.way, self._rng, until), WIDEST)]
         for _ in range(int(self._edges.effort * _OTHERS)):
-            if time.perf_counter() > until - 0.6 * _BETTERING:
+            if self._limits.shortens and time.perf_counter() > began + _SEARCHING:
                 break
             other = Search(task, starts, goals, self._rng)
             limits = SearchLimits(nodes=_OTHER_NODES + 2 * result.nodes, until=until, watch=self._limits.watch)
             if way := other.run(limits).way:
                 shapes.append(self._shape(shortened(self._edges, way, self._rng, until), WIDEST))
-        free = sorted((shape for shape in shapes if shape is not None), key=lambda shape: shape.duration)
+        free = sorted((shape for shape in shapes if shape is not None), key=_duration)
         if not free:
             return []
-        better = faster(self._edges, self._cell.limits, free[0], self._rng, until)
-        return [better, *free]
+        better = sorted((self._faster(shape, until, _FEW_CHANGES) for shape in free[:_PROMISING]), key=_duration)
+        return [self._faster(better[0], until, _MANY_CHANGES), *better, *free]
+
+    def _faster(self, shape: Shape, until: float, changes: int) -> Shape:
+        return self._shaper.faster(shape, self._rng, until, changes=changes)
 
     def _shape(self, way: list[Node], widest: float) -> Shape | None:
-        return shaped(self._edges, self._cell.limits, way[0], corners_of(way), widest)
+        return self._shaper.shaped(way[0], corners_of(way), widest)
 
     def _proved(
         self, shapes: Sequence[Shape | None], verdict: RouteVerdict, result: SearchResult | None, first: float
@@ -285,31 +329,44 @@ class _Finding:
                 assert given is not None
                 shape: Shape | None = given
                 if widest < WIDEST:
-                    shape = shaped(self._edges, self._cell.limits, given.nodes[0], given.poses, widest)
+                    shape = self._shaper.shaped(given.start, given.poses, widest)
                 if shape is None:
                     continue
                 path = some_timing(shape.geometry)
-                start = shape.nodes[0]
+                start = shape.start
                 q_start = self._exact(start.pose.placement(), start.x)
                 check = check_path(self._cell, self._grasp, path, q_start=q_start, scene=self._scene)
                 if check.verdict is PathVerdict.CERTIFIED:
-                    return Route(
-                        verdict=verdict,
-                        path=path,
-                        check=check,
-                        length=shape.geometry.length,
-                        nodes=0 if result is None else result.nodes,
-                        first_s=first,
-                        total_s=time.perf_counter() - self._began,
-                        trees=() if result is None else tuple(map(_edges_of, result.trees)),
-                        joints=np.array([node.x for node in shape.nodes]),
-                        poses=np.array([node.pose.row() for node in shape.nodes]),
-                        refused=tuple(self._refused),
-                    )
+                    return self._route(verdict, path, check, result, first, shape.positions, shape.rows)
                 self._refused.append(check.verdict.value)
                 if len(shape.poses) < 3:
                     break
         return None
+
+    def _route(
+        self,
+        verdict: RouteVerdict,
+        path: TimedPath,
+        check: PathCheck,
+        result: SearchResult | None,
+        first: float,
+        joints: Array,
+        poses: Array,
+    ) -> Route:
+        """The answer with a way."""
+        return Route(
+            verdict=verdict,
+            path=path,
+            check=check,
+            length=path.geometry().length,
+            nodes=0 if result is None else result.nodes,
+            first_s=first,
+            total_s=time.perf_counter() - self._began,
+            trees=() if result is None else tuple(map(_edges_of, result.trees)),
+            joints=joints,
+            poses=poses,
+            refused=tuple(self._refused),
+        )
 
     def _exact(self, T_world_object: pin.SE3, x: Array) -> Array:
         """The configuration (nq,) at joint positions (nv,) that holds the object at a pose to rounding."""
@@ -349,6 +406,10 @@ class _Finding:
             "limit": f"the limit of {arm.joints[own]}",
         }
         return f"; arm {arm.arm.name} stops it most, at {what[kind]}"
+
+
+def _duration(shape: Shape) -> float:
+    return shape.duration
 
 
 def _edges_of(tree: Tree) -> Array:

@@ -10,8 +10,9 @@ import numpy as np
 
 from coopqp.errors import InvalidInputError, UndecidedError
 from coopqp.paths.timed import TimedPath
-from coopqp.planning.check import PathCheck
+from coopqp.planning.check import PathCheck, check_motion
 from coopqp.planning.planner import Plan, plan
+from coopqp.planning.timing import SHARE, timed_motion
 from coopqp.spatial import Array
 
 #: Numbers of knots that are tried where the timing fails numerically.
@@ -34,7 +35,8 @@ class Route:
 
     Attributes:
         verdict: whether there is a way.
-        path: the way with rounded corners, in some time from rest to rest; None if there is none.
+        path: the way with rounded corners, in some time from rest to rest; None if there is none. It has a motion of
+            the elbows of redundant arms (``path.elbows``) where their least motion does not get through.
         check: its proof; None if there is none.
         reason: why there is no way; empty if there is.
         length: length of the way [m]; 1 rad counts as 0.3 m. NaN if there is none.
@@ -75,6 +77,8 @@ class Route:
         if self.path is None or self.check is None:
             raise InvalidInputError("there is no way", "Route.timed", "Ask whether it is `found` before.")
         check, path = self.check, self.path
+        if path.elbows is not None:
+            return self._led(path, check, options)
         for knots in (options.pop("knots", None), *_KNOTS):
             try:
                 return plan(
@@ -83,6 +87,24 @@ class Route:
             except UndecidedError as error:
                 failed = error  # of the numbers: with other knots it succeeds mostly
         raise failed
+
+    def _led(self, path: TimedPath, check: PathCheck, options: dict[str, Any]) -> Plan:
+        """The fastest motion whose elbows go as they were found."""
+        from scipy.interpolate import CubicSpline  # takes long to import
+
+        assert path.elbows is not None
+        assert check.q_start is not None
+        assert check.scene is not None
+        lead = CubicSpline([path.at(clock)[0] for clock in path.elbows.clocks.tolist()], path.elbows.x)
+        settings = {"payload": None, "bounds": (), "jerk": None, "share": SHARE, "knots": None, **options}
+        motion = timed_motion(check.cell, check.grasp, path, q_start=check.q_start, lead=lead, **settings)
+        own = check_motion(check.cell, check.grasp, motion.path, motion.x, check.scene)
+        if own is None or not own.feasible:
+            raise UndecidedError(
+                "it is not proved that the fastest motion of the elbows keeps clear; run `path` itself"
+            )
+        timed = motion.path.kept_clear()
+        return Plan(q_start=check.q_start, grasp=check.grasp, path=timed, start=None, check=own.on(timed))
 
     def explain(self) -> str:
         """The answer in sentences."""

@@ -34,11 +34,13 @@ class SearchLimits:
     Attributes:
         nodes: number of nodes of both trees, samples that lead to none included; None for any.
         until: :func:`time.perf_counter` then [s].
+        meetings: number of poses in which the trees meet with other joints; None for any.
         watch: is told the number of nodes now and then; a true answer ends the search. None: nobody watches.
     """
 
     nodes: int | None
     until: float
+    meetings: int | None = None
     watch: Callable[[int], bool | None] | None = None
 
 
@@ -52,6 +54,8 @@ class SearchResult:
         stops: how often each stop ended an edge.
         closest: the shortest distance between the trees [m].
         tried: samples.
+        meetings: ways from a start and from a goal to poses in which the trees met, where the joints of the first do
+            not get through on the second.
     """
 
     trees: tuple[Tree, Tree]
@@ -59,6 +63,7 @@ class SearchResult:
     stops: Counter[Stop] = field(default_factory=Counter)
     closest: float = np.inf
     tried: int = 0
+    meetings: list[tuple[list[Node], list[Node]]] = field(default_factory=list)
 
     @property
     def nodes(self) -> int:
@@ -122,13 +127,15 @@ class Search:
         return found
 
     def forget(self) -> None:
-        """Drop the way that was found; the trees stay."""
-        self.result.way = []
+        """Drop the way that was found, and the meetings; the trees stay."""
+        self.result.way, self.result.meetings = [], []
 
     def _is_over(self, limits: SearchLimits) -> bool:
         if limits.nodes is not None and self.result.nodes + self.result.tried >= limits.nodes:
             return True
         if limits.watch is not None and limits.watch(self.result.nodes):
+            return True
+        if limits.meetings is not None and len(self.result.meetings) >= limits.meetings:
             return True
         return time.perf_counter() >= limits.until
 
@@ -176,9 +183,11 @@ class Search:
     def _join(self, starts: Tree, i: int, goals: Tree, j: int) -> None:
         """From node ``i`` of the starts' tree walk along the chain of node ``j`` of the other, at the same pose."""
         self.result.closest = 0.0
+        met = starts.chain(i), goals.chain(j)
         for node in goals.chain(j)[::-1][1:]:
             i, complete = starts.extend(self._edges, i, node.pose, self.result.stops)
             if not complete:
+                self.result.meetings.append(met)
                 return
         self.result.way = starts.chain(i)
 

@@ -6,7 +6,8 @@ import itertools
 import math
 import time
 from collections.abc import Sequence
-from typing import NamedTuple
+from dataclasses import dataclass
+from typing import NamedTuple, final
 
 import numpy as np
 import pinocchio as pin
@@ -16,15 +17,16 @@ from coopqp.native.constants import TURN_LENGTH
 from coopqp.paths.geometry import PathGeometry, Straight, blended
 from coopqp.planning.route.duration import estimated_duration
 from coopqp.planning.route.edges import Edges
-from coopqp.planning.route.tree import STEP, Node, Pose, between, distance, length_of, part_of
+from coopqp.planning.route.sampling import samples_of
+from coopqp.planning.route.tree import Node, Pose, between, distance, length_of, part_of
 from coopqp.spatial import Array
 
 #: Largest deviation at a corner [m], with an angle of it over 0.3 m; a corner with less than the least is not rounded.
 WIDEST, _LEAST = 0.3, 1e-3
 #: Twists of the same direction within this make no corner.
 _STRAIGHT = 1e-6
-#: Changes of a shape that are tried, and their size [m], from the first to the last.
-_CHANGES, _SIZES = 100, (0.1, 0.01)
+#: Size of changes that are tried [m]: the smallest, the first and the largest; it grows and shrinks by these factors.
+_SIZES, _UP, _DOWN = (0.01, 0.06, 0.15), 1.5, 0.9
 #: Share of the changes that leave a corner out.
 _LEFT_OUT = 0.1
 #: A corner is left out where that costs less than this share of the duration.
@@ -38,14 +40,20 @@ class Shape(NamedTuple):
         poses: of both ends and of the corners between them.
         deviations: largest deviation at each corner [m].
         geometry: what follows from them.
-        nodes: the arms along it.
+        start: where the arms start.
+        s: of samples along it (K,) [m].
+        rows: the object's pose there, rows of R (9), p (3): (K, 12).
+        positions: joint positions there (K, nv) [rad or m].
         duration: about how long the motion takes [s].
     """
 
     poses: tuple[Pose, ...]
     deviations: Array
     geometry: PathGeometry
-    nodes: list[Node]
+    start: Node
+    s: Array
+    rows: Array
+    positions: Array
     duration: float
 
 
@@ -68,7 +76,8 @@ def _bends(a: Pose, b: Pose, c: Pose) -> bool:
     return distance(part_of(a, c, first / (first + second)), b) > _STRAIGHT
 
 
-def _lines(poses: Sequence[Pose]) -> list[Straight]:
+def lines_between(poses: Sequence[Pose]) -> list[Straight]:
+    """Straight lines from each pose to the next."""
     lines = []
     for a, b in itertools.pairwise(poses):
         way, turn = between(a, b)
@@ -76,82 +85,91 @@ def _lines(poses: Sequence[Pose]) -> list[Straight]:
     return lines
 
 
-def shaped(edges: Edges, limits: JointLimits, start: Node, poses: Sequence[Pose], widest: float) -> Shape | None:
-    """Lines between poses with corners rounded off as far as it is free; None if even the lines are not.
+@final
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Shaper:
+    """Shapes of ways.
 
-    Args:
+    Attributes:
         edges: walks of the arms.
         limits: of the joints.
-        start: where the arms start.
-        poses: both ends, and the corners.
-        widest: largest deviation at a corner [m]. Where the way stops, that of the nearest corner is halved.
+        speed: of the object at the start [m/s], along the first line.
+        fixed: poses at the start, besides the first, that no change moves.
     """
-    deviations = np.full(len(poses) - 2, widest)
-    corners = np.array([pose.p for pose in poses[1:-1]])
-    while True:
-        shape = _free(edges, limits, start, poses, deviations)
-        if isinstance(shape, Shape) or not deviations.any():
-            return shape if isinstance(shape, Shape) else None
-        open_ = np.flatnonzero(deviations > 0.0)
-        k = open_[int(np.linalg.norm(corners[open_] - shape.p, axis=1).argmin())]
-        deviations[k] = 0.5 * deviations[k] if deviations[k] > _LEAST else 0.0
+
+    edges: Edges
+    limits: JointLimits
+    speed: float = 0.0
+    fixed: int = 0
+
+    def shaped(self, start: Node, poses: Sequence[Pose], widest: float) -> Shape | None:
+        """Lines between poses with corners rounded off as far as it is free; None if even the lines are not.
+
+        Args:
+            start: where the arms start.
+            poses: both ends, and the corners.
+            widest: largest deviation at a corner [m]. Where the way stops, that of the nearest corner is halved.
+        """
+        deviations = np.full(len(poses) - 2, widest)
+        corners = np.array([pose.p for pose in poses[1:-1]])
+        while True:
+            shape = self._free(start, poses, deviations)
+            if isinstance(shape, Shape) or not deviations.any():
+                return shape if isinstance(shape, Shape) else None
+            open_ = np.flatnonzero(deviations > 0.0)
+            k = open_[int(np.linalg.norm(corners[open_] - shape.p, axis=1).argmin())]
+            deviations[k] = 0.5 * deviations[k] if deviations[k] > _LEAST else 0.0
+
+    def faster(self, shape: Shape, rng: np.random.Generator, until: float, *, changes: int) -> Shape:
+        """A shape whose motion takes less time: corners are moved about, left out, or rounded off more.
+
+        A change that gains is made again, and the next ones are larger; those behind one that does not are smaller.
+
+        Args:
+            shape: where it begins.
+            rng: random numbers.
+            until: :func:`time.perf_counter` when no more is tried [s].
+            changes: that are tried; fewer with slow edges.
+        """
+        first = self.fixed + 1
+        for k in range(len(shape.poses) - 2, first - 1, -1):
+            if time.perf_counter() < until:
+                others = shape.poses[:k] + shape.poses[k + 1 :]
+                fewer = self._free(shape.start, others, np.delete(shape.deviations, k - 1))
+                if isinstance(fewer, Shape) and fewer.duration < (1.0 + _WORTH_A_CORNER) * shape.duration:
+                    shape = fewer
+        size, again = _SIZES[1], None
+        for _ in range(math.ceil(self.edges.effort * changes)):
+            if len(shape.poses) < first + 2 or time.perf_counter() >= until:
+                break
+            poses, deviations = list(shape.poses), shape.deviations.copy()
+            k, move, turn = again or (int(rng.integers(first, len(poses) - 1)), *_random_change(rng, size))
+            if again is None and rng.random() < _LEFT_OUT:
+                del poses[k]
+                deviations = np.delete(deviations, k - 1)
+            else:
+                poses[k] = Pose(poses[k].p + move, poses[k].R @ np.asarray(pin.exp3(turn)))
+                deviations[k - 1] = min(max(2.0 * deviations[k - 1], _LEAST), WIDEST)
+                again = k, move, turn
+            changed = self._free(shape.start, poses, deviations)
+            if isinstance(changed, Shape) and changed.duration < shape.duration:
+                shape, size = changed, min(_UP * size, _SIZES[2])
+            else:
+                size, again = max(_DOWN * size, _SIZES[0]), None
+        return shape
+
+    def _free(self, start: Node, poses: Sequence[Pose], deviations: Array) -> Shape | Pose:
+        """The shape; where it is not free, the pose that it is free to."""
+        geometry = blended(lines_between(poses), distance=deviations, angle=deviations / TURN_LENGTH)
+        s, rows, motion = samples_of(geometry)
+        found = self.edges.walk(rows, motion, start.x, start.rooms)
+        last = len(found.positions) - 1
+        if last < len(rows) - 1:
+            return Pose.of_row(rows[last])
+        duration = estimated_duration(self.limits, s, found.positions, speed=self.speed)
+        return Shape(tuple(poses), deviations.copy(), geometry, start, s, rows, found.positions, duration)
 
 
-def faster(edges: Edges, limits: JointLimits, shape: Shape, rng: np.random.Generator, until: float) -> Shape:
-    """A shape whose motion takes less time: corners are moved about, left out, or rounded off more.
-
-    Args:
-        edges: walks of the arms.
-        limits: of the joints.
-        shape: where it begins.
-        rng: random numbers.
-        until: :func:`time.perf_counter` when no more is tried [s].
-    """
-    for k in range(len(shape.poses) - 2, 0, -1):
-        if time.perf_counter() < until:
-            others = shape.poses[:k] + shape.poses[k + 1 :]
-            fewer = _free(edges, limits, shape.nodes[0], others, np.delete(shape.deviations, k - 1))
-            if isinstance(fewer, Shape) and fewer.duration < (1.0 + _WORTH_A_CORNER) * shape.duration:
-                shape = fewer
-    for size in np.geomspace(*_SIZES, math.ceil(edges.effort * _CHANGES)):
-        if len(shape.poses) < 3 or time.perf_counter() >= until:
-            break
-        poses, deviations = list(shape.poses), shape.deviations.copy()
-        k = int(rng.integers(1, len(poses) - 1))
-        if rng.random() < _LEFT_OUT:
-            del poses[k]
-            deviations = np.delete(deviations, k - 1)
-        else:
-            move, turn = size * rng.normal(size=3), size / TURN_LENGTH * rng.normal(size=3)
-            poses[k] = Pose(poses[k].p + move, poses[k].R @ np.asarray(pin.exp3(turn)))
-            deviations[k - 1] = min(max(2.0 * deviations[k - 1], _LEAST), WIDEST)
-        changed = _free(edges, limits, shape.nodes[0], poses, deviations)
-        if isinstance(changed, Shape) and changed.duration < shape.duration:
-            shape = changed
-    return shape
-
-
-def _free(edges: Edges, limits: JointLimits, start: Node, poses: Sequence[Pose], deviations: Array) -> Shape | Pose:
-    """The shape; where it is not free, the pose that it is free to."""
-    geometry = blended(_lines(poses), distance=deviations, angle=deviations / TURN_LENGTH)
-    rows: list[Array] = []
-    motion: list[Array] = []
-    marks: list[Array] = []
-    for piece, mark in zip(geometry.pieces, geometry.marks, strict=False):
-        count = max(math.ceil(piece.length / STEP), 4)
-        s = np.linspace(0.0, piece.length, count + 1)
-        R, p = piece.poses(s)
-        bounds = piece.bounds(s[:-1], s[1:])
-        assert bounds is not None
-        motion.append(np.column_stack([bounds.way, bounds.turn]) * np.diff(s)[:, None])
-        first = 1 if rows else 0
-        rows.append(np.hstack([R.reshape(-1, 9), p])[first:])
-        marks.append(mark + s[first:])
-    every = np.ascontiguousarray(np.vstack(rows))
-    found = edges.walk(every, np.ascontiguousarray(np.vstack(motion)), start.x, start.rooms)
-    last = len(found.positions) - 1
-    if last < len(every) - 1:
-        return Pose.of_row(every[last])
-    nodes = [Node(Pose.of_row(row), x, room) for row, x, room in zip(every, found.positions, found.rooms, strict=True)]
-    duration = estimated_duration(limits, np.concatenate(marks), found.positions)
-    return Shape(tuple(poses), deviations.copy(), geometry, nodes, duration)
+def _random_change(rng: np.random.Generator, size: float) -> tuple[Array, Array]:
+    """A displacement [m] and a turn [rad] of about this size."""
+    return size * rng.normal(size=3), size / TURN_LENGTH * rng.normal(size=3)

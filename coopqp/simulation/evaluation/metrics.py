@@ -85,7 +85,8 @@ def tool_matrices(cell: RobotCell, configurations: Array) -> Array:
 def tools_and_jacobians(cell: RobotCell, configurations: Array) -> tuple[Array, Array]:
     """T_world_tool (T, N, 4, 4) at configurations (T, nq), and transposed Jacobians (T, nv, 6).
 
-    A row is the twist that a joint gives to its arm's tool, in world axes, at the tool's point.
+    A row is the twist that a joint gives to its arm's tool, in world axes, at the tool's point; a joint that arms share
+    to the tool of the first of them.
     """
     data, model = workspace(cell), cell.model
     J = np.empty((len(configurations), 6, cell.nv))
@@ -95,7 +96,7 @@ def tools_and_jacobians(cell: RobotCell, configurations: Array) -> tuple[Array, 
 
     T = _tools(cell, configurations, compute)
     twists = np.ascontiguousarray(J.transpose(0, 2, 1))  # at the world's origin
-    points = T[:, :, :3, 3].repeat([own.stop - own.start for own in cell.v_slices], axis=1)
+    points = T[:, :, :3, 3][:, [cell.arm_of_joint(j) for j in range(cell.nv)]]
     twists[..., :3] += cross(twists[..., 3:], points)
     return T, twists
 

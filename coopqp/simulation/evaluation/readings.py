@@ -15,7 +15,7 @@ from coopqp.model.batch import singular_values
 from coopqp.model.cell import RobotCell
 from coopqp.simulation.evaluation import metrics
 from coopqp.simulation.recording.recording import Recording
-from coopqp.spatial import Array
+from coopqp.spatial import Array, cross
 
 
 @dataclass(frozen=True, eq=False)
@@ -72,7 +72,7 @@ def read_part(cell: RobotCell, recording: Recording, part: slice) -> Readings:
     grasp = recording.grasp
     q, q_command = recording.q[part], recording.q_command[part]
     tools, J = metrics.tools_and_jacobians(cell, q_command)
-    sigma = _sigma_min(cell, J)
+    sigma = _sigma_min(cell, J, tools)
     shift = recording.shift_at(part)
     commanded = metrics.without_shift(tools, grasp, shift)
     agreed = held = metrics.object_poses(commanded, grasp)
@@ -91,10 +91,18 @@ def read_part(cell: RobotCell, recording: Recording, part: slice) -> Readings:
     )
 
 
-def _sigma_min(cell: RobotCell, J: Array) -> Array:
-    """Smallest singular value of each arm's tool Jacobian (T, N); NaN where its entries (T, nv, 6) are not finite."""
+def _sigma_min(cell: RobotCell, J: Array, tools: Array) -> Array:
+    """Smallest singular value of each arm's tool Jacobian (T, N); NaN where its entries (T, nv, 6) are not finite.
+
+    Joints that the arms of a group share count: an arm may be singular by itself where they move it on.
+    """
     sigma = np.full((len(J), len(cell)), np.nan)
     good = np.isfinite(J).all(axis=(1, 2))
-    for k, own in enumerate(cell.v_slices):
-        sigma[good, k] = singular_values(J[good, own])[:, -1]
+    for k, own in enumerate(cell.columns):
+        rows = J[good][:, own]
+        first = [cell.arm_of_joint(j) for j in own]
+        if any(other != k for other in first):
+            points = tools[good][:, :, :3, 3]
+            rows[..., :3] += cross(rows[..., 3:], points[:, k, None] - points[:, first])
+        sigma[good, k] = singular_values(rows)[:, -1]
     return sigma

@@ -97,6 +97,7 @@ class PhysicsPlant:
         require_mujoco()
         require(grasp, Grasp, "PhysicsPlant: grasp", "Give a Grasp of the placements.")
         grasp.check_arms(cell)
+        cell.refuse_shared("PhysicsPlant")
         self.cell, self.grasp = cell, grasp
         self.options = as_options(PhysicsOptions, options, "PhysicsPlant: options")
         self.disturbances = as_options(Disturbances, disturbances, "PhysicsPlant: disturbances")

@@ -119,6 +119,7 @@ def _describe_arm(arm: Arm) -> dict[str, Any]:
     return {
         "name": arm.name,
         "source": arm.source,
+        **({"robot": arm.robot} if arm.robot else {}),
         "base": _matrix(arm.T_world_base),
         "tool": {"name": arm.tool_frame, "joint": int(tool.parentJoint), "placement": _matrix(tool.placement)},
         "joints": joints,
@@ -280,7 +281,7 @@ def _read_arm(entry: Mapping[str, Any], with_shapes: bool, meshes: bool) -> Arm:
         velocity_limits=_limits(limits["velocity"], np.inf, len(joints)),
         acceleration_limits=_limits(limits["acceleration"], np.inf, len(joints)),
     )
-    return replace(arm, source=str(entry["source"]))
+    return replace(arm, source=str(entry["source"]), robot=str(entry.get("robot", "")))
 
 
 def _joint_model(joint: Mapping[str, Any], arm: str) -> Any:

@@ -1,0 +1,1 @@
+"""The page of an operator: it shows a run live, and leads it."""

@@ -1,0 +1,172 @@
+"""The page in a process of its own, and its link to the loop that controls: drawing never delays a step."""
+
+from __future__ import annotations
+
+import contextlib
+import math
+import multiprocessing
+import signal
+import threading
+import time
+from collections import deque
+from multiprocessing.connection import Connection
+from typing import Any, final
+
+from coopqp.control.interface import ControlStep
+from coopqp.errors import CoopqpError
+from coopqp.simulation.recording.recording import Recording
+from coopqp.visualization.jog.page import JogPage
+from coopqp.visualization.jog.seen import SILENCE, Seen
+from coopqp.visualization.viewer import LIVE_RATE, require_viser
+
+#: How often the link looks whether the page has fallen silent [s].
+_LOOK = 0.05
+#: What came of a refused call is shown so long [s].
+_SHOWN = 6.0
+#: The loop's lateness is looked at so often [s], over so many periods.
+_LATE_EVERY, _LATE_OF = 1.0, 1000
+#: Delays of calls that are kept.
+_KEPT = 10_000
+#: The page opens within this time, or not at all [s].
+_OPENING = 60.0
+
+
+@final
+class PageLink:
+    """A page for a run that another thread steps. A page that is silent for 1 s pauses the run.
+
+    Args:
+        run: takes calls: ``call(name, …)``; has ``controller`` and ``lateness(last)``, None where it is not known.
+        recording: the cell at its start, as a run of one step.
+        port: port to listen on; 0 for any free port.
+        sticks: draw the arms as sticks instead of their shapes.
+
+    Attributes:
+        url: address for the browser.
+        delays: from when the page's process had a call until the controller had it [s].
+
+    Raises:
+        MissingExtraError: viser is not installed.
+        CoopqpError: the page cannot be served.
+    """
+
+    def __init__(self, run: Any, recording: Recording, *, port: int = 8080, sticks: bool = False) -> None:
+        require_viser()
+        self._run = run
+        self.delays: deque[float] = deque(maxlen=_KEPT)
+        self._began, self._due = time.monotonic(), -math.inf
+        self._late: tuple[float, float] | None = None
+        self._late_due = -math.inf
+        self._words, self._words_until = "", -math.inf
+        self._silent, self._heard = True, -math.inf
+        self._latest: deque[Seen] = deque(maxlen=1)
+        self._fresh, self._closed = threading.Event(), False
+        context = multiprocessing.get_context("spawn")
+        self._link, theirs = context.Pipe()
+        self._process = context.Process(
+            target=serve_page, args=(theirs, recording, port, sticks, run.controller.override), daemon=True
+        )
+        self._process.start()
+        theirs.close()
+        try:
+            if not self._link.poll(_OPENING):
+                raise CoopqpError("the page did not open within 60 s.")
+            answer = self._link.recv()
+        except EOFError as error:
+            raise CoopqpError("the page's process ended before the page was there.") from error
+        if isinstance(answer, Exception):
+            raise answer
+        self.url: str = answer
+        self._threads = [threading.Thread(target=work, daemon=True) for work in (self._listen, self._show)]
+        for thread in self._threads:
+            thread.start()
+
+    def close(self) -> None:
+        """End the page's process."""
+        self._closed = True
+        self._fresh.set()
+        self._link.close()
+        self._process.join(3.0)
+        if self._process.is_alive():
+            self._process.terminate()
+            self._process.join()
+
+    # -- in the thread that steps ----------------------------------------------------------------------------------
+
+    def observe(self, step: ControlStep) -> None:
+        """Show a step, 30 times a second."""
+        now = time.monotonic()
+        if now < self._due:
+            return
+        self._due = now + 1.0 / LIVE_RATE
+        words = self._words if now < self._words_until else ""
+        if now >= self._late_due:
+            self._late_due = now + _LATE_EVERY
+            late = self._run.lateness(_LATE_OF)
+            self._late = None if late is None else late[1:]
+        time_s = now - self._began
+        self._latest.append(Seen.of(step, self._run.controller, time=time_s, late=self._late, words=words))
+        self._fresh.set()
+
+    # -- in threads of its own -------------------------------------------------------------------------------------
+
+    def _show(self) -> None:
+        while not self._closed:
+            self._fresh.wait()
+            self._fresh.clear()
+            with contextlib.suppress(OSError, ValueError, IndexError):
+                self._link.send(self._latest.pop())
+
+    def _listen(self) -> None:
+        while not self._closed:
+            try:
+                message = self._link.recv() if self._link.poll(_LOOK) else None
+            except (EOFError, OSError):
+                message = None
+                if not self._closed:
+                    self._say("the page's process has ended; end with Ctrl-C")
+                    self._run.call("pause")
+                return
+            if message is not None:
+                self._take(*message)
+            if not self._silent and time.monotonic() - self._heard > SILENCE:
+                self._silent = True
+                self._say("paused: the page fell silent")
+                self._run.call("pause")
+
+    def _take(self, sent: float, name: str, values: tuple[Any, ...], named: dict[str, Any]) -> None:
+        if name == "beat":
+            self._heard, self._silent = time.monotonic(), False
+            return
+        try:
+            self._run.call(name, *values, **named)
+        except CoopqpError as error:
+            self._say(f"refused: {error}")
+        self.delays.append(time.monotonic() - sent)
+
+    def _say(self, words: str) -> None:
+        self._words, self._words_until = words, time.monotonic() + _SHOWN
+
+
+def serve_page(link: Connection, recording: Recording, port: int, sticks: bool, override: float) -> None:
+    """Serve the page until the link closes: the whole of its process."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the run ends it
+    lock = threading.Lock()
+
+    def tell(name: str, *values: Any, **named: Any) -> None:
+        with lock, contextlib.suppress(OSError, ValueError):
+            link.send((time.monotonic(), name, values, named))
+
+    try:
+        page = JogPage(recording, tell, port=port, sticks=sticks, override=override)
+    except CoopqpError as error:
+        link.send(error)
+        return
+    link.send(page.url)
+    with contextlib.suppress(EOFError, OSError):
+        while True:
+            seen = link.recv()
+            while link.poll():
+                seen = link.recv()
+            page.show(seen)
+    page.close()

@@ -1,0 +1,186 @@
+"""A robot with several arms: each joint once, and the chain of arms that share some."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pinocchio as pin
+import pytest
+from torsos import held, lift_cell, robot_of, two_arms
+
+from coopqp import Arm, Grasp, InvalidInputError, Robot, RobotCell
+from coopqp.errors import UnknownNameError
+from coopqp.model import CellState, Chain
+from coopqp.model.chain import moving_columns
+from coopqp.scenarios import robot_path
+from coopqp.simulation.evaluation.metrics import tools_and_jacobians
+from coopqp.simulation.evaluation.readings import _sigma_min
+from coopqp.simulation.recording.scene import describe_cell, read_cell
+
+TORSOS: tuple[tuple[tuple[str, str], ...], ...] = (
+    (("prismatic", "0 0 1"),),
+    (("continuous", "0 0 1"),),
+    (("revolute", "0 1 0"),),
+    (("prismatic", "1 0 0"), ("prismatic", "0 1 0"), ("continuous", "0 0 1")),
+)
+BASE = pin.exp6(np.array([0.3, -0.2, 0.1, 0.2, 0.5, -0.4]))
+
+
+@pytest.mark.parametrize("torso", TORSOS)
+def test_a_robot_moves_as_its_model_does(torso: tuple[tuple[str, str], ...], tmp_path: Path) -> None:
+    """Each joint is there once, and tools and Jacobians are those of one model of the whole robot."""
+    cell = RobotCell([robot_of(torso, tmp_path, T_world_base=BASE)])
+    assert cell.joint_names[: len(torso)] == tuple(f"torso/torso_{i}" for i in range(len(torso)))
+    assert len(set(cell.joint_names)) == cell.nv == len(torso) + 1 + 12  # and the neck, which moves no tool
+    assert cell.groups == ((0, 1),)
+    np.testing.assert_array_equal(cell.shared, range(len(torso)))
+    whole = pin.buildModelFromUrdf(str(tmp_path / "both.urdf"))
+    x, q = np.random.default_rng(3).uniform(-1.0, 1.0, cell.nv), pin.neutral(whole)
+    at = [whole.joints[whole.getJointId(name.partition("/")[2])] for name in cell.joint_names]
+    for j, value in zip(at, x, strict=True):
+        q[j.idx_q : j.idx_q + j.nq] = [value] if j.nq == 1 else [np.cos(value), np.sin(value)]
+    data = whole.createData()
+    pin.computeJointJacobians(whole, data, q)
+    pin.framesForwardKinematics(whole, data, q)
+    state = CellState(cell, cell.configuration(x))
+    for k, side in enumerate(("left", "right")):
+        frame = whole.getFrameId(f"{side}_link_5")
+        np.testing.assert_allclose(
+            state.T_world_tool[k].homogeneous, (BASE * data.oMf[frame]).homogeneous, rtol=0, atol=1e-13
+        )
+        J = pin.getFrameJacobian(whole, data, frame, pin.LOCAL)[:, [at[j].idx_v for j in cell.columns[k]]]
+        moving = np.isin(cell.columns[k], moving_columns(cell)[k])
+        np.testing.assert_allclose(state.jacobian(k)[:, moving], J[:, moving], rtol=0, atol=1e-12)
+    masses = pin.crba(cell.model, cell.model.createData(), cell.configuration(x))
+    assert masses.shape == (cell.nv, cell.nv)
+
+
+def test_a_robot_without_shared_joints_is_two_arms(tmp_path: Path) -> None:
+    file = tmp_path / "both.urdf"
+    file.write_text(two_arms(()))
+    tools = {side: f"{side}_link_5" for side in ("left", "right")}
+    one = RobotCell([Robot(file, tools, geometry=False, acceleration_limits=5.0)])
+    two = RobotCell(
+        [Arm.from_urdf(s, file, tool_frame=t, geometry=False, acceleration_limits=5.0) for s, t in tools.items()]
+    )
+    assert one.joint_names == two.joint_names
+    assert one.v_slices == two.v_slices
+    assert not one.groups
+    q = np.random.default_rng(0).uniform(-1.0, 1.0, one.nq)
+    for a, b in zip(CellState(one, q).T_world_tool, CellState(two, q).T_world_tool, strict=True):
+        np.testing.assert_array_equal(a.homogeneous, b.homogeneous)
+    for field in ("lower", "upper", "velocity", "acceleration"):
+        np.testing.assert_array_equal(getattr(one.limits, field), getattr(two.limits, field))
+
+
+def test_limits_go_by_the_joints_names(tmp_path: Path) -> None:
+    robot = robot_of(TORSOS[0], tmp_path, velocity_limits={"torso_0": 0.1, "left_2": 1.5}, acceleration_limits=4.0)
+    cell = RobotCell([robot])
+    speed = dict(zip(cell.joint_names, cell.limits.velocity, strict=True))
+    assert speed["torso/torso_0"] == 0.1
+    assert speed["left/left_2"] == 1.5
+    assert speed["right/right_2"] == 2.0
+    np.testing.assert_array_equal(cell.limits.acceleration, 4.0)
+    other = cell.with_limits(acceleration=np.arange(1.0, cell.nv + 1.0))
+    np.testing.assert_array_equal(other.limits.acceleration, np.arange(1.0, cell.nv + 1.0))
+    with pytest.raises(UnknownNameError, match="torso_9"):
+        robot_of(TORSOS[0], tmp_path, velocity_limits={"torso_9": 0.1})
+
+
+def test_wrong_robots_are_refused_by_name(tmp_path: Path) -> None:
+    robot = robot_of(TORSOS[0], tmp_path)
+    left, right = robot.arms
+    with pytest.raises(InvalidInputError, match="stand on two bases"):
+        RobotCell([left, right.placed(BASE)])
+    with pytest.raises(InvalidInputError, match="an arm and a robot are named 'left'"):
+        RobotCell([Robot(tmp_path / "both.urdf", {"left": "left_link_5", "r": "right_link_5"}, name="left")])
+    with pytest.raises(InvalidInputError, match="arm 'b' of robot 'robot' has 5 joints"):
+        RobotCell([Robot(tmp_path / "both.urdf", {"a": "left_link_5", "b": "right_link_4"})])
+    with pytest.raises(InvalidInputError, match="no arm"):
+        Robot(tmp_path / "both.urdf", {})
+    with pytest.raises(UnknownNameError, match="nowhere"):
+        Robot(tmp_path / "both.urdf", {"a": "left_link_5", "b": "nowhere"})
+    cell = RobotCell([robot])
+    with pytest.raises(InvalidInputError, match=r"'left' and 'right' share 'torso_0'.*Lock"):
+        cell.refuse_shared("here")
+
+
+def test_a_recording_keeps_the_robot() -> None:
+    cell, _ = lift_cell()
+    again = read_cell({"scene": describe_cell(cell)})
+    assert again.joint_names == cell.joint_names
+    assert again.groups == cell.groups
+
+
+def test_shapes_of_shared_links_are_there_once() -> None:
+    tools = {"left": "left_tool", "right": "right_tool"}
+    cell = RobotCell([Robot(robot_path("lift2"), tools, name="lift")])
+    whole = pin.buildModelFromUrdf(str(robot_path("lift2")))
+    for kind, shapes in ((pin.VISUAL, cell.visual_model()), (pin.COLLISION, cell.collision_model())):
+        every = pin.buildGeomFromUrdf(whole, str(robot_path("lift2")), kind)
+        assert sorted(g.name.partition("/")[2] for g in shapes.geometryObjects) == sorted(
+            g.name for g in every.geometryObjects
+        )
+        x = np.random.default_rng(1).uniform(-0.5, 0.5, cell.nv)
+        q = pin.neutral(whole)
+        for name, value in zip(cell.joint_names, x, strict=True):
+            j = whole.joints[whole.getJointId(name.partition("/")[2])]
+            q[j.idx_q : j.idx_q + j.nq] = [value] if j.nq == 1 else [np.cos(value), np.sin(value)]
+        places = {}
+        for model, geometry, at in ((whole, every, q), (cell.model, shapes, cell.configuration(x))):
+            placed = pin.GeometryData(geometry)
+            pin.updateGeometryPlacements(model, model.createData(), geometry, placed, at)
+            places[model.nframes] = {
+                g.name.rpartition("/")[2]: T.homogeneous
+                for g, T in zip(geometry.geometryObjects, placed.oMg, strict=True)
+            }
+        first, second = places.values()
+        for name, T in first.items():
+            np.testing.assert_allclose(T, second[name], rtol=0, atol=1e-12)
+
+
+def test_a_group_is_one_redundant_arm(tmp_path: Path) -> None:
+    """Its inverse, its null-space and its slopes, against one dense matrix of the whole cell."""
+    cell = RobotCell([robot_of(TORSOS[3], tmp_path, velocity_limits={"torso_0": 0.1})])
+    grasp = Grasp(tuple(pin.SE3.Random() for _ in range(2)))
+    chain, rng = Chain(cell, grasp), np.random.default_rng(5)
+    q = cell.configuration(rng.uniform(-1.0, 1.0, cell.nv))
+    chain.linearise(q, np.array([0.3, 0.1, 0.9]))
+    A = chain.dense()
+    moving = np.flatnonzero(np.abs(A).max(axis=0) > 0.0)
+    D = np.diag(chain.scale[moving])
+    oracle = np.zeros((cell.nv, 12))
+    oracle[moving] = D @ np.linalg.pinv(A[:, moving] @ D)
+    W = rng.normal(size=(2, 6))
+    np.testing.assert_allclose(chain.joint_velocities(W), oracle @ W.ravel(), rtol=0, atol=1e-11)
+    np.testing.assert_allclose(chain.joint_columns(W.T[None])[:, 1], oracle @ np.tile(W[1], 2), rtol=0, atol=1e-11)
+    N = chain.null_basis()
+    assert N.shape == (cell.nv, 3) == (cell.nv, chain.redundancy)
+    np.testing.assert_allclose(A @ N, 0.0, atol=1e-12)
+    np.testing.assert_allclose(N.T @ (N / chain.scale[:, None] ** 2), np.eye(3), atol=1e-12)
+    v = rng.normal(size=cell.nv)
+    np.testing.assert_allclose(chain.null_part(v)[moving], v[moving] - oracle[moving] @ (A @ v), rtol=0, atol=1e-11)
+
+
+def test_the_slope_of_a_group_is_that_of_its_jacobian() -> None:
+    """Along its self-motion, where the object stays, against differences."""
+    cell, grasp = lift_cell()
+    chain, rng, h = Chain(cell, grasp), np.random.default_rng(2), 1e-6
+    about = np.array([0.55, 0.0, 0.9])
+    q = held(cell, grasp, pin.SE3(np.eye(3), about), np.array([0.3]))
+    chain.linearise(q, about)
+    v = chain.null_basis() @ rng.normal(size=chain.redundancy)
+    slope = chain.part_slope(0, v[chain.part_columns[0]])
+    ends = []
+    for sign in (1.0, -1.0):
+        chain.evaluate(cell.moved(q, sign * h * v), about)
+        ends.append(chain.part_jacobian(0))
+    np.testing.assert_allclose(slope, (ends[0] - ends[1]) / (2.0 * h), rtol=0, atol=1e-7)
+
+
+def test_singular_values_of_runs_count_shared_joints() -> None:
+    cell, grasp = lift_cell()
+    q = held(cell, grasp, pin.SE3(np.eye(3), np.array([0.5, 0.1, 0.9])), np.array([0.2]))
+    tools, J = tools_and_jacobians(cell, q[None])
+    np.testing.assert_allclose(_sigma_min(cell, J, tools)[0], CellState(cell, q).sigma_min, rtol=1e-12)
