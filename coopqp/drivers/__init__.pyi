@@ -1,3 +1,4 @@
+from .bag_recorder import BagRecorder as BagRecorder
 from .commissioning import commission_sensors_by_drivers as commission_sensors_by_drivers
 from .driver import (
     Bodies as Bodies,
