@@ -37,6 +37,7 @@ PROGRAMS: Mapping[str, tuple[str, ...]] = {
     "python docs/movie.py --out {out}": ("docs/images/two_lifts.gif",),
     "python docs/route_movie.py --out {out}": ("docs/images/way_round.gif",),
     "python docs/screenshots.py viewer --out {out}": ("docs/images/viewer.png",),
+    "python docs/screenshots.py cell --out {out}": ("docs/images/view_cell.png",),
     "python docs/screenshots.py jog --out {out}": ("docs/images/jog.gif",),
     "python docs/examples/01_paper_lift.py --out {out}": ("docs/tutorials/paper_drift.png",),
     "python docs/examples/02_your_own_arms.py --out {out}": ("docs/tutorials/your_own_arms.png",),

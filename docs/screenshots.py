@@ -14,6 +14,7 @@ from browser import NAMES, Page, Picture, find_browser
 from PIL import Image
 
 from coopqp import ControlStep, QPController, Recording, simulate
+from coopqp.cli.main import main as coopqp_command
 from coopqp.cli.runs import obtain_task
 from coopqp.scenarios import at_limit
 from coopqp.simulation import Event, describe_object, operating
@@ -31,6 +32,13 @@ def run_at_limit() -> Recording:
     controller = QPController(task.cell, task.grasp, task.path, dt=task.dt)
     metadata = {"scenario": task.name, "object": box}
     return simulate(controller, q_start=task.q_start, duration=1.5, metadata=metadata)
+
+
+def view_at_limit(file: Path) -> Path:
+    """The same cell before it runs, as `coopqp view` writes it."""
+    if coopqp_command(["view", "at_limit", "--html", str(file), "--quiet"]):
+        raise SystemExit("coopqp view failed")
+    return file
 
 
 def _drawn(picture: Picture) -> bool:
@@ -97,26 +105,35 @@ def shoot_jog(picture: Path, *, width: int = 880, height: int = 470) -> None:
     small[0].save(picture, save_all=True, append_images=small[1:], duration=spans, loop=0, optimize=True)
 
 
-def shoot_run(recording: Recording, picture: Path, *, share: float, width: int = 1100, height: int = 640) -> None:
-    """A picture of the viewer's page, with the slider at a share of the run."""
+def shoot(
+    write: Callable[[Path], Path], picture: Path, *, share: float | None, width: int = 1100, height: int = 640
+) -> None:
+    """A picture of a page, with the slider at a share of its time; None for a page that stands still.
+
+    Args:
+        write: writes the page to a file.
+        picture: the picture's file.
+    """
     program = _browser()
     with tempfile.TemporaryDirectory(ignore_cleanup_errors=True) as folder:  # the browser ends later
-        file = export_html(recording, Path(folder) / "run.html")
+        file = write(Path(folder) / "page.html")
         with Page(program, Path(folder) / "profile", width=width, height=height) as page:
             page.open(file.as_uri())
             page.wait_until(lambda: page.evaluate(f"!!document.querySelector('{TRACK}')"))
             page.wait_until(lambda: page.evaluate("!!document.querySelector('canvas')"))
             page.wait_until(lambda: _drawn(page.screenshot()), timeout=90)
             _without_notes(page)
-            page.pause()
-            track = page.box(TRACK)
-            page.press(track["left"] + share * track["width"], track["top"] + 0.5 * track["height"])
+            if share is not None:
+                page.pause()
+                track = page.box(TRACK)
+                page.press(track["left"] + share * track["width"], track["top"] + 0.5 * track["height"])
             Image.fromarray(page.settled().astype("uint8")).quantize(200).save(picture, optimize=True)
 
 
 #: Pictures by the name of the command.
 PICTURES: dict[str, Callable[[Path], None]] = {
-    "viewer": lambda out: shoot_run(run_at_limit(), out / "viewer.png", share=0.6),
+    "viewer": lambda out: shoot(lambda file: export_html(run_at_limit(), file), out / "viewer.png", share=0.3),
+    "cell": lambda out: shoot(view_at_limit, out / "view_cell.png", share=None),
     "jog": lambda out: shoot_jog(out / "jog.gif"),
 }
 

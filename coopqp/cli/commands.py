@@ -301,7 +301,7 @@ def _view_cell(arguments: argparse.Namespace) -> int:
     """Show a cell before it runs, or write it as a page."""
     from coopqp.cli.check import glance_at
     from coopqp.cli.runs import obtain_run
-    from coopqp.visualization.viewer import CellViewer, export_glance
+    from coopqp.visualization.cell_viewer import CellViewer, export_glance
 
     with reporter(quiet=arguments.quiet) as report:
         found, more = glance_at(arguments.what, report)
@@ -368,6 +368,7 @@ def _add_report(commands: Any) -> None:
     )
     parser.add_argument("what", metavar="RUN", help=_RUN_HELP)
     parser.add_argument("--out", type=Path, metavar="FILE", help="the page (NAME_report.html, beside a recording)")
+    parser.add_argument("--scene", action="store_true", help="with the 3D scene that plays (extra viewer)")
     _add_meshes(parser)
     for name, unit, text in (
         ("chain-mm", "MM", "chain error (0.1)"),
@@ -383,8 +384,11 @@ def _run_report(arguments: argparse.Namespace) -> int:
     from coopqp.simulation.evaluation.assessment import Tolerances
     from coopqp.visualization.report import write_report
     from coopqp.visualization.style import require_matplotlib
+    from coopqp.visualization.viewer import require_viser
 
     require_matplotlib()
+    if arguments.scene:
+        require_viser()
     asked = {name: getattr(arguments, name) for name in ("chain_mm", "chain_deg", "object_mm", "object_deg")}
     asked = {name: value for name, value in asked.items() if value is not None}
     Tolerances(**asked)  # bad ones are refused before the run
@@ -397,7 +401,7 @@ def _run_report(arguments: argparse.Namespace) -> int:
     recording = _obtain(arguments.what, quiet=arguments.quiet, meshes=arguments.meshes)
     with reporter(quiet=arguments.quiet) as report:
         tolerances = replace(Tolerances.of(recording), **asked)
-        write_report(recording, page, tolerances=tolerances, progress=report.note)
+        write_report(recording, page, tolerances=tolerances, scene=arguments.scene, progress=report.note)
     print_written([page], quiet=arguments.quiet)
     return _OK
 

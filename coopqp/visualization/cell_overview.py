@@ -98,6 +98,12 @@ class Glance:
         """The verdict, and what the check says, in lines."""
         return [self.check.verdict.value, *self.check.explain().splitlines()]
 
+    def grasps(self) -> dict[str, Array]:
+        """Where each tool should be (3,) [m], by name of its arm."""
+        check = self.check
+        placed = zip(check.cell.arm_names, check.grasp.T_object_tool, strict=True)
+        return {name: (self.pose * X).translation for name, X in placed}
+
     def targets(self) -> dict[str, tuple[Array, Array]]:
         """Where the tools of :attr:`short` are, and where they should be (3,) [m]."""
         cell, found = self.check.cell, {}

@@ -23,6 +23,7 @@ from coopqp.visualization.joints import joint_figure
 from coopqp.visualization.loads import run_loads_figure
 from coopqp.visualization.style import figure_bytes, require_matplotlib
 from coopqp.visualization.timeline import bound_limits, limit_name, timeline_figure
+from coopqp.visualization.viewer import require_viser, run_page
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -43,6 +44,7 @@ def report_html(
     *,
     cell: RobotCell | None = None,
     tolerances: Tolerances | None = None,
+    scene: bool = False,
     progress: Callable[[str], None] | None = None,
 ) -> str:
     """The report as one HTML document without links to anything else.
@@ -51,13 +53,17 @@ def report_html(
         recording: the run.
         cell: cell of the run; by default read from the recording.
         tolerances: accepted errors of the verdict; by default the tolerances of the recording's cell file.
+        scene: in place of the pictures of the motion the 3D scene that plays, as :func:`export_html` writes it, with
+            its plots beside; needs the extra ``viewer``.
         progress: called with a text for each stage.
 
     Raises:
         SceneError: no cell is given and the recording does not describe one.
-        MissingExtraError: Matplotlib is not installed.
+        MissingExtraError: Matplotlib, or for the scene viser is not installed.
     """
     require_matplotlib()
+    if scene:
+        require_viser()
     require(recording, Recording, "report: recording", "Give a Recording, as simulate() returns it.")
     tell = progress or (lambda _: None)
     tell("measuring the run")
@@ -71,6 +77,7 @@ def report_html(
         timeline_figure(recording, readings, tolerances=tolerances), "errors, rate and limits over time"
     )
     del readings  # of a long run they are large
+    motion = _scene(recording, tell) if scene else _motion(cell, recording)
     body = [
         f"<h1>{_text(title)}</h1><p class=sub>{_text(made)}</p>",
         _verdict(findings),
@@ -78,7 +85,7 @@ def report_html(
         _section("Over time", over_time),
         *_forces(cell, recording),
         _section("Joints against their limits", _picture(joint_figure(cell, recording), "joints over time")),
-        _section("The motion", _motion(cell, recording)),
+        _section("The motion", motion),
         _section("Limits that bound", _limits(recording)),
         _section("Settings", _settings(recording)),
         _section("Notes of the run", _notes(recording)),
@@ -100,12 +107,13 @@ def write_report(
     *,
     cell: RobotCell | None = None,
     tolerances: Tolerances | None = None,
+    scene: bool = False,
     progress: Callable[[str], None] | None = None,
 ) -> Path:
     """Write :func:`report_html` to a file, atomically. Same arguments and errors; also raises OutputError."""
     file = Path(path)
     check_file(file)
-    text = report_html(recording, cell=cell, tolerances=tolerances, progress=progress)
+    text = report_html(recording, cell=cell, tolerances=tolerances, scene=scene, progress=progress)
     write_files({file: text.encode()})
     return file
 
@@ -157,6 +165,14 @@ def _motion(cell: RobotCell, recording: Recording) -> str:
         cell, recording, object_size=(size[0], size[1], size[2]), T_object_body=body, pixels=500
     )
     return _picture(figure, "the arms and the object at four times", kind="png", dpi=100)
+
+
+def _scene(recording: Recording, tell: Callable[[str], None]) -> str:
+    """The page that plays the motion, inside this one."""
+    tell("drawing the scene")
+    return (
+        f'<iframe title="the motion in 3D, with play, pause and scrub" srcdoc="{_text(run_page(recording))}"></iframe>'
+    )
 
 
 def _limits(recording: Recording) -> str:

@@ -6,22 +6,22 @@ The scene has no windows, buttons or files. :mod:`coopqp.visualization.viewer` s
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
 import pinocchio as pin
 
 from coopqp.checks import require
-from coopqp.control.interface import Status
 from coopqp.model.cell import RobotCell
 from coopqp.model.limits import BindingLimit, LimitKind
 from coopqp.simulation.evaluation import metrics
 from coopqp.simulation.evaluation.readings import Readings, read_run
 from coopqp.simulation.recording.recording import Recording
-from coopqp.simulation.recording.scene import SceneError, read_object, read_path
+from coopqp.simulation.recording.scene import read_object, read_path
 from coopqp.spatial import Array
+from coopqp.visualization.binding_words import Why
 from coopqp.visualization.renderer import Camera, Solid, body_solids, mesh_of, name_places, object_solids
+from coopqp.visualization.run_marks import ForceArrows, NearestLine, has_forces
 
 Colour = tuple[int, int, int]
 
@@ -31,14 +31,17 @@ _OBJECT: Colour = (76, 132, 191)
 _PATH: Colour = (0, 114, 178)
 _GOAL: Colour = (120, 126, 134)
 _STICK: Colour = (90, 98, 108)
+#: Opacity of an object that forces are drawn in.
+_CLEAR = 0.5
+#: The grid of the floor, on a white and on a black page.
+_GRID_FINE: Colour = (176, 181, 187)
+_GRID: Colour = (140, 146, 154)
 #: Largest number of points of the drawn path.
 _PATH_POINTS = 200
 #: Elevation, azimuth and field of view of the camera [deg].
 _ELEVATION, _AZIMUTH, FIELD_OF_VIEW = 24.0, 125.0, 38.0
 #: Share of the picture that the scene fills, and the smallest ratio of width to height.
-_FILL, _ASPECT = 0.80, 1.4
-#: Height of the readout above the scene, as a share of the diagonal.
-READOUT_SHARE = 0.13
+_FILL, _ASPECT = 0.84, 1.2
 
 
 class Stage:
@@ -60,7 +63,7 @@ class Stage:
         self.readings: Readings = read_run(self.cell, recording)
         self._scene = scene
         self._data = self.cell.model.createData()
-        self._bindings = [*recording.bindings, *recording.bindings[-1:]]  # the last sample repeats the last step
+        self._why = Why(recording)
         self._links: dict[int, Any] = {}  # frame of each joint with shapes
         self._meshes: dict[int, list[tuple[Any, Colour]]] = defaultdict(list)  # by joint
         self._sticks: list[tuple[Any, list[int]]] = []
@@ -72,7 +75,6 @@ class Stage:
         self._path = read_path(recording.metadata) or self._followed()
         self._bodies = body_solids(recording.metadata)
         self._standing: list[tuple[str, Any, Colour]] = []  # all bodies by name, to mark them
-        self._nearest = _nearest(recording.metadata)
         self._cloud = self._points()
         self.low, self.high = self._cloud.min(axis=0), self._cloud.max(axis=0)
         self._add_floor()
@@ -80,6 +82,9 @@ class Stage:
         self._add_object()
         self._add_path()
         self._add_bodies()
+        self._nearest = NearestLine(scene, recording.metadata, ALERT)
+        diagonal = float(np.linalg.norm(self.high - self.low))
+        self._forces = ForceArrows(scene, self.cell, recording, diagonal)
         self.show(0)
 
     def _followed(self) -> list[pin.SE3]:
@@ -115,15 +120,9 @@ class Stage:
             found += [corner for corner in cube @ T.rotation.T + T.translation if np.isfinite(corner).all()]
         return found
 
-    def above(self, share: float) -> Array:
-        """The point (3,) [m] above the middle of the scene, higher than the scene by a share of its diagonal."""
-        x, y, _ = 0.5 * (self.low + self.high)
-        return np.array([x, y, self.high[2] + share * float(np.linalg.norm(self.high - self.low))])
-
     def camera(self) -> tuple[Array, Array]:
-        """Camera position and target (3,) [m] that show the whole scene and the readout above it."""
-        readout = self.above(READOUT_SHARE + 0.06)
-        points = np.array([*self._cloud, readout])
+        """Camera position and target (3,) [m] that show the whole scene."""
+        points = self._cloud
         target = 0.5 * (points.min(axis=0) + points.max(axis=0))
         right, up, away = Camera(target, _AZIMUTH, _ELEVATION, distance=0.0).axes
         # Needed distance of the camera for a point: its depth towards the camera plus its offset / slope.
@@ -141,8 +140,10 @@ class Stage:
             height=span,
             cell_size=0.1,
             section_size=0.5,
-            cell_color=(236, 238, 240),
-            section_color=(205, 210, 215),
+            cell_color=_GRID_FINE,
+            section_color=_GRID,
+            cell_thickness=0.4,
+            section_thickness=0.7,
             position=(middle[0], middle[1], min([0.0, *bases]) - 1e-3),
         )
 
@@ -178,7 +179,7 @@ class Stage:
         if joint not in self._links:
             self._links[joint] = self._scene.add_frame(f"/links/{joint}", show_axes=False)
         place = f"/links/{joint}/{name.replace('/', '_')}"
-        mesh = self._scene.add_mesh_simple(place, *_sharp(vertices, triangles), color=colour)
+        mesh = self._scene.add_mesh_simple(place, *_compact(vertices, triangles), color=colour, flat_shading=True)
         self._meshes[joint].append((mesh, colour))
 
     def _add_object(self) -> None:
@@ -196,7 +197,10 @@ class Stage:
     def _add_solid(self, place: str, solid: Solid) -> None:
         """Add a body that can be marked."""
         red, green, blue = (round(255 * c) for c in solid.colour)
-        handle = self._scene.add_mesh_simple(place, *_sharp(solid.vertices, solid.triangles), color=(red, green, blue))
+        inside = place.startswith("/object") and has_forces(self.recording)  # forces point into the object
+        mesh = _compact(solid.vertices, solid.triangles)
+        look = {"color": (red, green, blue), "opacity": _CLEAR if inside else None, "flat_shading": True}
+        handle = self._scene.add_mesh_simple(place, *mesh, **look)
         self._standing.append((solid.name, handle, (red, green, blue)))
 
     def _add_path(self) -> None:
@@ -224,25 +228,18 @@ class Stage:
             )
 
     def _add_bodies(self) -> None:
-        """Add what stands in the world, and a line between the bodies that are nearest to each other."""
+        """Add what stands in the world."""
         for i, solid in enumerate(self._bodies):
             self._add_solid(f"/bodies/{i}", solid)
-        self._gap: Any = None
-        if self._nearest is not None:
-            self._gap = self._scene.add_line_segments(
-                "/nearest", self._nearest[1][:1], colors=ALERT, thickness=3.0, thickness_units="screen"
-            )
 
     # -- a sample ------------------------------------------------------------------------------------------------
 
     def show(self, sample: int) -> None:
         """Move the scene to a sample (0 to T) of the run, and mark the joints and arms with binding limits."""
-        if self._gap is not None and self._nearest is not None:
-            times, points = self._nearest
-            i = int(np.abs(times - self.recording.time[sample]).argmin())
-            self._gap.points = points[i : i + 1]
+        self._nearest.show(float(self.recording.time[sample]))
+        self._forces.show(sample)
         grasps = None if self.recording.shift is None else self.recording.grasps_at(sample)
-        self.place(self.recording.q[sample], self.limits(sample), grasps)
+        self.place(self.recording.q[sample], self._why.limits(sample), grasps)
 
     def place(self, q: Array, limits: tuple[BindingLimit, ...], grasps: tuple[pin.SE3, ...] | None = None) -> pin.SE3:
         """Move the arms to ``q`` (nq,) and the object with them, and mark joints and arms with binding limits.
@@ -285,19 +282,6 @@ class Stage:
         tool = (last * self.cell.T_joint_tool[arm]).translation
         return np.array([*zip(before, places, strict=True), (last.translation, tool)], dtype=np.float32)
 
-    def limits(self, sample: int) -> tuple[BindingLimit, ...]:
-        """What binds in the step that starts at a sample: limits of arms and of the path, constraints, distances."""
-        return self._bindings[sample] if self._bindings else ()
-
-    def reason(self, sample: int) -> str:
-        """What the run says about the step that starts at a sample, where it does not track; else empty."""
-        step = min(sample, self.recording.n_steps - 1)
-        if step < 0 or list(Status)[int(self.recording.status[step])] is Status.TRACKING:
-            return ""
-        notes = (note.partition(": ") for note in self.recording.notes)
-        reasons = [text for begun, _, text in notes if begun.isdigit() and int(begun) <= step]
-        return reasons[-1] if reasons else ""
-
     def _mark(self, limits: tuple[BindingLimit, ...]) -> None:
         """Colour the arms with binding limits (their joints strongest) and write the limits under their names.
 
@@ -329,24 +313,10 @@ def _concerns(limit: BindingLimit, arm: str) -> bool:
     return limit.arm == arm or any(name.startswith(f"{arm}/") for name in limit.between)
 
 
-def _sharp(vertices: Array, triangles: Any) -> tuple[Any, Any]:
-    """The vertices and triangles of a mesh with sharp edges: each triangle has its own corners."""
-    corners = vertices[triangles].reshape(-1, 3).astype(np.float32)
-    return corners, np.arange(len(corners), dtype=np.uint32).reshape(-1, 3)
-
-
-def _nearest(metadata: Mapping[str, Any]) -> tuple[Array, Array] | None:
-    """Times (T,) [s] and nearest points (T, 2, 3) [m] of a recording; None if it has none."""
-    entry = metadata.get("clearance")
-    if not isinstance(entry, Mapping) or "points_m" not in entry:
-        return None
-    try:
-        times, points = (np.array(entry[key], dtype=float) for key in ("times_s", "points_m"))
-    except (KeyError, TypeError, ValueError, OverflowError) as error:
-        raise SceneError(f"the recording's nearest points are damaged ({error}).") from error
-    if points.shape != (len(times), 2, 3) or not len(times) or not np.isfinite(points).all():
-        raise SceneError("the recording's nearest points are damaged.")
-    return times, points.astype(np.float32)
+def _compact(vertices: Array, triangles: Any) -> tuple[Any, Any]:
+    """A mesh in 32 bits; vertices that are equal in them are one."""
+    points, index = np.unique(np.asarray(vertices, dtype=np.float32), axis=0, return_inverse=True)
+    return points, index.reshape(-1)[np.asarray(triangles)].astype(np.uint32)
 
 
 def _title(arm: str) -> str:

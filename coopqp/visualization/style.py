@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from coopqp.control.interface import Status
 from coopqp.errors import InvalidInputError, printable
 from coopqp.lazy import needed
 from coopqp.output import write_files
@@ -30,6 +31,18 @@ COLOURS = (
     "#7a5195",
 )  # distinguishable for colour-blind readers
 DASHES: tuple[Any, ...] = ("-", (0, (4, 1.5)), (0, (1, 1.2)), (0, (5, 1.5, 1, 1.5)))
+#: Colour of each status. Any two differ for readers without red, green or blue cones, too: CIELAB distance above 20.
+STATUS_COLOURS = {
+    Status.TRACKING: "#1a58cc",
+    Status.SLOWED: "#40cefd",
+    Status.BLOCKED: "#ee9406",
+    Status.HOLDING: "#bb4408",
+    Status.FAULT: "#591635",
+    Status.PAUSED: "#deb1b6",
+    Status.OFF_PATH: "#a24f93",
+    Status.JOGGING: "#009a5e",
+    Status.WAITING: "#fffe3d",
+}
 INK, FAINT, GRID, RED = "#222222", "#8a8f98", "#e3e6ea", "#b00020"
 #: Largest width of a figure [inches]; wider ones are hard to read on a page.
 WIDTH = 10.0
@@ -40,6 +53,12 @@ _HANDLE, _PAD, _LINE = 24.0, 14.0, 1.45  # widths of a legend's handle and gap [
 DRAWN_SPANS = 4000
 #: Numbers beyond this are drawn there: Matplotlib cannot draw 1e300.
 _FAR = 1e12
+
+
+def paler(colour: str, share: float = 0.55) -> str:
+    """A colour mixed with a share of white, behind curves."""
+    parts = (int(colour[i : i + 2], 16) for i in (1, 3, 5))
+    return "#" + "".join(f"{round((1.0 - share) * part + share * 255.0):02x}" for part in parts)
 
 
 def require_matplotlib() -> None:

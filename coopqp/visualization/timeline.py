@@ -14,7 +14,19 @@ from coopqp.simulation.evaluation.assessment import Tolerances
 from coopqp.simulation.evaluation.readings import Readings
 from coopqp.simulation.recording.recording import LONGEST, Recording
 from coopqp.simulation.recording.scene import SceneError, reading
-from coopqp.visualization.style import FAINT, GRID, INK, RED, WIDTH, drawn, label, new_figure, plain
+from coopqp.visualization.style import (
+    FAINT,
+    GRID,
+    INK,
+    RED,
+    STATUS_COLOURS,
+    WIDTH,
+    drawn,
+    label,
+    new_figure,
+    paler,
+    plain,
+)
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -25,14 +37,8 @@ _ERRORS = (
     ("object_mm", "object against its path", "#009e73", (0, (1, 1.2))),
 )
 #: Colours behind the steps of each status.
-BANDS = {
-    Status.PAUSED: "#dbe4f3",
-    Status.WAITING: "#e3ecd8",
-    Status.JOGGING: "#d3ecec",
-    Status.BLOCKED: "#f7dcc4",
-    Status.OFF_PATH: "#e9d3f0",
-    Status.HOLDING: "#f4c2c2",
-    Status.FAULT: "#e58e8e",
+BANDS: dict[Status, str] = {
+    status: paler(colour) for status, colour in STATUS_COLOURS.items() if status not in (Status.TRACKING, Status.SLOWED)
 }
 #: Smallest drawn error [mm]: a nanometre. What is smaller all the time is said, not drawn.
 _FLOOR = 1e-6

@@ -10,7 +10,6 @@ import contextlib
 import html
 import io
 import string
-import textwrap
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -19,24 +18,42 @@ from typing import Any
 import numpy as np
 
 from coopqp.checks import as_scalar
-from coopqp.control.interface import Status
 from coopqp.errors import CoopqpError, InvalidInputError
 from coopqp.lazy import needed
 from coopqp.output import check_file, write_files
 from coopqp.simulation.evaluation.figures import worst_status
 from coopqp.simulation.recording.recording import Recording
-from coopqp.visualization.cell_overview import Glance, shortfall
 from coopqp.visualization.guarded import OwnScript, guarded_servers
-from coopqp.visualization.run_view import ALERT, FIELD_OF_VIEW, READOUT_SHARE, Stage
+from coopqp.visualization.panel_page import (
+    band_piece,
+    cursor_style,
+    curve_piece,
+    head_piece,
+    joints_piece,
+    panel_page,
+    panel_style,
+    plot_piece,
+)
+from coopqp.visualization.run_panel import Moment, RunPanel
+from coopqp.visualization.run_view import FIELD_OF_VIEW, Stage
 
 #: Pictures per second of the page, and their largest number.
 FRAMES_PER_SECOND, MAX_FRAMES = 25.0, 500
-#: Longest line of the readout in characters; it fits a window of 800 pixels.
-LINE = 60
 #: Pause of the page at the end, before it starts again [s].
 PAUSE_AT_END = 1.5
 #: Redraws per second of the live viewer.
 LIVE_RATE = 30.0
+#: What the page of a run explains, and what makes a page dark.
+_LEGEND = (
+    '<br><i style="background: #4c84bf"></i>the object (grey: its start and end)<br>'
+    '<i style="background: #0072b2; height: .25em; vertical-align: .2em"></i>paths of its frame and of the grasps<br>'
+    '<i style="background: #d61e1e"></i>an arm at a limit, named above it, or bodies too close<br>'
+    "Drag to turn, scroll to zoom; the space bar plays and pauses."
+)
+_DARK = (
+    "<script>if (window.__VISER_EMBED_CONFIG__) window.__VISER_EMBED_CONFIG__.darkMode = "
+    'matchMedia("(prefers-color-scheme: dark)").matches;</script>'
+)
 SPEEDS = ("0.1x", "0.25x", "0.5x", "1x", "2x", "5x", "10x")
 
 
@@ -62,11 +79,9 @@ def _serve(viser: Any, host: str, port: int, script: OwnScript | None = None) ->
 
 
 @contextlib.contextmanager
-def _offline(page: Path) -> Iterator[Any]:
+def offline() -> Iterator[Any]:
     """A server whose scene becomes a page."""
-    viser = require_viser()
-    check_file(page)
-    server = _serve(viser, "127.0.0.1", 0)
+    server = _serve(require_viser(), "127.0.0.1", 0)
     try:
         yield server
     finally:
@@ -98,36 +113,8 @@ def title_of(recording: Recording) -> tuple[str, str]:
     return name, f"{controller}, {recording.n_steps} steps, {recording.time[-1]:.4g} s, {worst_status(recording)}"
 
 
-def readout(stage: Stage, sample: int) -> str:
-    """Lines for a sample: clock, rate and status; binding limits; errors. Long ones are broken, not cut."""
-    run, errors = stage.recording, stage.readings
-    step = min(sample, run.n_steps - 1)
-    end = float(run.metadata.get("duration", run.clock[-1]))
-    share = f"{100.0 * run.clock[sample] / end:.0f} % of the path · " if 0.0 < end < np.inf else ""
-    limits = "; ".join(str(limit) for limit in stage.limits(sample)) or stage.reason(sample) or "no limit binds"
-    status = list(Status)[int(run.status[step])].value
-    lines = (
-        f"t = {run.time[sample]:.2f} s · {share}{status}, σ = {100.0 * run.rate[step]:.3g} %",
-        limits,
-        f"ε_p {_length(errors.eps_p_mm[sample])} · chain error {_length(errors.chain_mm[sample])}, "
-        f"{_angle(errors.chain_deg[sample])}",
-    )
-    return "\n".join(part for line in lines for part in textwrap.wrap(line, LINE, break_on_hyphens=False))
-
-
-def _length(mm: float) -> str:
-    """A length in millimetres, or in micrometres if it is small."""
-    if mm < 1e-6:
-        return "below 0.001 µm"
-    return f"{1e3 * mm:.2g} µm" if mm < 0.01 else f"{mm:.3g} mm"
-
-
-def _angle(deg: float) -> str:
-    return "below 1e-6°" if deg < 1e-6 else f"{deg:.2g}°"
-
-
 def frame_camera(server: Any, stage: Stage) -> None:
-    """Let new pages look at the whole scene."""
+    """Let the camera of each new page see the whole scene."""
     position, target = stage.camera()
     server.scene.set_up_direction("+z")
     server.initial_camera.position = tuple(float(x) for x in position)
@@ -158,45 +145,59 @@ def export_html(
         MissingExtraError: viser is not installed.
     """
     page = Path(file)
-    with _offline(page) as server:
+    check_file(page)
+    write_files({page: run_page(recording, sticks=sticks, progress=progress, mark=mark).encode()})
+    return page
+
+
+def run_page(
+    recording: Recording,
+    *,
+    sticks: bool = False,
+    progress: Callable[[int, int], None] | None = None,
+    mark: Callable[[Any], None] | None = None,
+) -> str:
+    """The page of :func:`export_html` as one HTML document that loads nothing else. Same arguments and errors."""
+    with offline() as server:
         stage = Stage(server.scene, recording, sticks=sticks)
         if mark is not None:
             mark(server.scene)
         frame_camera(server, stage)
-        hud = server.scene.add_label(
-            "/readout",
-            readout(stage, 0),
-            position=stage.above(READOUT_SHARE),
-            anchor="bottom-center",
-            font_screen_scale=1.15,
-        )
+        panel = RunPanel(stage.cell, recording, stage.readings)
         duration = float(recording.time[-1])
         n_frames = int(np.clip(np.ceil(FRAMES_PER_SECOND * duration - 1e-6), 2, MAX_FRAMES))
         times = np.linspace(0.0, duration, n_frames)
         samples = np.clip(np.searchsorted(recording.time, times - 1e-9), 0, recording.n_steps)
-        serializer = server.get_scene_serializer()
+        serializer, moments = server.get_scene_serializer(), []
         for done, sample in enumerate(samples, start=1):
             stage.show(int(sample))
-            hud.text = readout(stage, int(sample))
+            moments.append(panel.moment(int(sample)))
             serializer.insert_sleep(float(times[1] - times[0]) if done < n_frames else PAUSE_AT_END)
             if progress is not None:
                 progress(done, n_frames)
         document: str = serializer.as_html()
     name, made = title_of(recording)
-    return _write_page(page, document, name, html.escape(made))
+    beside = panel_page(panel, moments, until=panel.end + PAUSE_AT_END)
+    return page_of(document, name, html.escape(made), beside=beside, legend=_LEGEND)
 
 
-def _write_page(page: Path, document: str, title: str, subtitle: str) -> Path:
-    """Write a page with a card of a title, and of a subtitle in HTML."""
+def page_of(document: str, title: str, subtitle: str, *, legend: str, beside: str = "") -> str:
+    """A scene's document with a card of a title; subtitle, legend and what stands beside the scene are HTML.
+
+    The page is dark where its reader's browser is.
+    """
     template = string.Template(Path(__file__).with_name("card.html").read_text(encoding="utf-8"))
-    card = template.substitute(title=html.escape(title), subtitle=subtitle)
+    card = template.substitute(title=html.escape(title), subtitle=subtitle, legend=legend) + beside
+    before, found, rest = document.partition("</head>")
+    document = f"{before}{_DARK}{found}{rest}" if found else document
     head, found, tail = document.rpartition("</body>")
-    write_files({page: f"{head}{card}{found}{tail}".encode() if found else f"{document}{card}".encode()})
-    return page
+    return f"{head}{card}{found}{tail}" if found else f"{document}{card}"
 
 
 class LiveViewer:
-    """A server on this machine that shows a run in the browser, with play, pause, scrub, speed and readouts.
+    """A server on this machine that shows a run in the browser, with play, pause, scrub and speed.
+
+    Beside the scene stand the same curves, statuses and joints as on the page of :func:`export_html`.
 
     Args:
         recording: the run.
@@ -244,21 +245,45 @@ class LiveViewer:
 
     def _add_controls(self, recording: Recording) -> None:
         gui = self._server.gui
-        gui.configure_theme(show_share_button=False)
+        self._look(dark=False)
+        gui.main_panel.dock_right()
         name, made = title_of(recording)
         gui.add_markdown(f"**{plain_text(name)}**\n\n{plain_text(made)}")
         end = max(float(recording.time[-1]), 1e-6)
+        self.panel = RunPanel(self.stage.cell, recording, self.stage.readings)
+        gui.add_html(panel_style(self.panel, until=end))
         self._time = gui.add_slider("time [s]", min=0.0, max=end, step=end / 2000.0, initial_value=0.0)
         self._playing = gui.add_checkbox("play", initial_value=True)
         self._speed = gui.add_dropdown("speed", SPEEDS, initial_value="1x")
-        self._text = gui.add_markdown("")
+        self._add_panel(self.panel.moment(0))
+        dark = gui.add_checkbox("dark", initial_value=False)
+        dark.on_update(lambda _: self._look(dark=dark.value))
         self._clock, self._slider = 0.0, self._time.value  # the clock also counts the pause at the end
         self._show(0)
 
+    def _look(self, *, dark: bool) -> None:
+        self._server.gui.configure_theme(show_share_button=False, control_width="medium", dark_mode=dark)
+
+    def _add_panel(self, moment: Moment) -> None:
+        """Add the pieces of the panel; those in ``_changing`` are sent again where they change."""
+        gui, panel = self._server.gui, self.panel
+        self._changing = [gui.add_html(head_piece(moment))]
+        gui.add_html(band_piece(panel))
+        for k, (curve, value) in enumerate(zip(panel.curves, moment.values, strict=True)):
+            self._changing.append(gui.add_html(curve_piece(curve, value)))
+            gui.add_html(plot_piece(panel, curve, last=k == len(panel.curves) - 1))
+        self._changing += [gui.add_html(joints_piece(panel, moment)), gui.add_html(cursor_style(panel, moment))]
+
     def _show(self, sample: int) -> None:
+        moment = self.panel.moment(sample)
+        values = zip(self.panel.curves, moment.values, strict=True)
+        contents = [head_piece(moment), *(curve_piece(curve, value) for curve, value in values)]
+        contents += [joints_piece(self.panel, moment), cursor_style(self.panel, moment)]
         with self._server.atomic():
             self.stage.show(sample)
-            self._text.content = "\n\n".join(plain_text(line) for line in readout(self.stage, sample).split("\n"))
+            for piece, content in zip(self._changing, contents, strict=True):
+                if piece.content != content:
+                    piece.content = content
         self._shown = sample
 
     def update(self, elapsed: float) -> int:
@@ -294,102 +319,3 @@ class LiveViewer:
 def plain_text(text: str) -> str:
     """Text with escaped Markdown characters."""
     return "".join(f"\\{c}" if c in "\\`*_{}[]<>#|~" else c for c in text)
-
-
-class CellViewer(LiveViewer):
-    """Shows a cell before it runs: its start, its path, how far its arms come, and what the check says; with Run.
-
-    Args:
-        found: the cell at a glance.
-        run: runs it, when Run is pressed; called with ``progress``, as in :func:`coopqp.simulate`.
-        more: further lines.
-        host, port, sticks: as for :class:`LiveViewer`.
-
-    Raises:
-        SceneError, MissingExtraError, InvalidInputError: as :class:`LiveViewer`.
-    """
-
-    def __init__(
-        self,
-        found: Glance,
-        run: Callable[..., Recording],
-        *,
-        more: str = "",
-        host: str = "127.0.0.1",
-        port: int = 8080,
-        sticks: bool = False,
-    ) -> None:
-        self._run, self._asked, self._is_run = run, False, False
-        self._open(lambda: self._show_cell(found, more), host=host, port=port, sticks=sticks)
-
-    def _show_cell(self, found: Glance, more: str) -> None:
-        self.stage = _glance_stage(self._server, found, sticks=self._sticks)
-        gui = self._server.gui
-        gui.configure_theme(show_share_button=False)
-        verdict, *lines = [*found.lines(), *more.splitlines()]
-        text = "\n\n".join(plain_text(line) for line in lines)
-        gui.add_markdown(f"**{plain_text(found.name.replace('_', ' '))}**\n\n**{plain_text(verdict)}**\n\n{text}")
-        self._button = gui.add_button("Run", color="blue")
-        self._button.on_click(lambda _: self._press())
-        self._text = gui.add_markdown("")
-
-    def _press(self) -> None:
-        self._asked = True
-
-    def update(self, elapsed: float) -> int:
-        """Wait for Run, then run the cell and show its run as :class:`LiveViewer` does."""
-        if self._is_run:
-            return super().update(elapsed)
-        if self._asked:
-            self._asked, self._button.disabled = False, True
-            percent_shown = -1
-
-            def progress(done: int, planned: int) -> None:
-                nonlocal percent_shown
-                if (percent := 100 * done // max(planned, 1)) != percent_shown:
-                    percent_shown = percent
-                    self._text.content = f"running: {min(percent, 100)} %"
-
-            try:
-                recording = self._run(progress=progress)
-            except CoopqpError as error:
-                self._text.content = f"**refused**\n\n{plain_text(' '.join(str(error).split()))}"
-                self._button.disabled = False
-                return 0
-            self._server.scene.reset()
-            self._server.gui.reset()
-            self._show_run(recording)
-            self._is_run = True
-        return 0
-
-
-def mark_glance(scene: Any, found: Glance) -> None:
-    """Add the reach of the arms that miss their grasps to a scene of viser, and by how much they miss them."""
-    for name, (tool, wanted) in found.targets().items():
-        ring = found.reaches[name].ring(wanted[2]) if name in found.reaches else np.empty((0, 3))
-        segments = np.stack([ring[:-1:2], ring[1::2]], axis=1) if len(ring) else np.empty((0, 2, 3))
-        lines = np.concatenate([segments, [[tool, wanted]]]).astype(np.float32)
-        scene.add_line_segments(f"/short/{name}", lines, colors=ALERT, thickness=3.0, thickness_units="screen")
-        scene.add_label(f"/missed/{name}", shortfall(found, name), position=wanted, anchor="top-left")
-
-
-def _glance_stage(server: Any, found: Glance, *, sticks: bool) -> Stage:
-    """The scene of a cell before it runs, on a server."""
-    stage = Stage(server.scene, found.recording(), sticks=sticks)
-    stage.put_object(found.pose)
-    mark_glance(server.scene, found)
-    frame_camera(server, stage)
-    return stage
-
-
-def export_glance(found: Glance, file: str | Path, *, more: str = "", sticks: bool = False) -> Path:
-    """Write what :class:`CellViewer` shows as one offline page, without Run. Errors as of :func:`export_html`."""
-    page = Path(file)
-    with _offline(page) as server:
-        _glance_stage(server, found, sticks=sticks)
-        serializer = server.get_scene_serializer()
-        serializer.insert_sleep(1.0)
-        document: str = serializer.as_html()
-    verdict, *lines = [*found.lines(), *more.splitlines()]
-    text = "<br>".join(html.escape(line) for line in lines)
-    return _write_page(page, document, f"{found.name.replace('_', ' ')}: {verdict}", text)

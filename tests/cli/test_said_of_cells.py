@@ -22,7 +22,7 @@ from coopqp.cli.terminal import Reporter
 from coopqp.files.cellfile.hints import load_hints, unit_hints
 from coopqp.visualization import cell_overview as glance
 from coopqp.visualization.cell_overview import shortfall
-from coopqp.visualization.viewer import CellViewer
+from coopqp.visualization.cell_viewer import CellViewer
 
 CELL = """
 name = "said"
@@ -154,6 +154,7 @@ def test_a_cell_out_of_reach_is_drawn_and_its_figures_are_true(capsys: pytest.Ca
     pin.framesForwardKinematics(model, data, found.q)
     tool = data.oMf[found.check.cell.tool_frames[0]].translation.copy()
     wanted = (found.check.path.pose(0.0) * found.check.grasp.T_object_tool[0]).translation
+    np.testing.assert_allclose(found.grasps()["a"], wanted)
     assert found.short["a"] == pytest.approx(np.linalg.norm(tool - wanted), rel=1e-9)
     reach, away = found.reaches["a"], []
     for _ in range(2000):

@@ -586,6 +586,9 @@ def test_the_verdict_says_where_it_was_closest(avoided: bool) -> None:
     assert found.answer.startswith(said)
     entry = recording.metadata["clearance"]
     assert min(entry["distances_m"]) == pytest.approx(entry["closest_m"], abs=2e-3)
+    nearest = int(np.argmin(entry["distances_m"]))
+    assert sorted(entry["pairs"][nearest]) == sorted(entry["between"])
+    assert len(entry["pairs"]) == len(entry["times_s"])
 
 
 # -- bad scenes ----------------------------------------------------------------------------------------------------

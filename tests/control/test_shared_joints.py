@@ -12,7 +12,16 @@ from marks import slow_but_first
 from torsos import held, lift_cell, robot_of
 
 from coopqp import (
-    Grasp, HoldPath, LinePath, QPController, QPOptions, RobotCell, ServoPath, Status, SupervisionOptions, check_path,
+    Grasp,
+    HoldPath,
+    LinePath,
+    QPController,
+    QPOptions,
+    RobotCell,
+    ServoPath,
+    Status,
+    SupervisionOptions,
+    check_path,
     simulate,
 )  # fmt: skip
 from coopqp.control import RankWeights

@@ -36,10 +36,11 @@ from coopqp.studies.row import RowTask
 from coopqp.studies.sweeping import rows_found, table_of_rows
 from coopqp.studies.table import csv_bytes
 from coopqp.visualization.joints import joint_figure
+from coopqp.visualization.panel_page import panel_page
 from coopqp.visualization.report import report_html
+from coopqp.visualization.run_panel import RunPanel
 from coopqp.visualization.run_view import Stage
 from coopqp.visualization.timeline import timeline_figure
-from coopqp.visualization.viewer import readout
 
 #: A small cell in TOML: every kind of table that reads without meshes.
 CELL = """
@@ -255,9 +256,11 @@ def _use_recording(file: Path, turn: int) -> None:
     for _ in csv_parts(run):
         pass
     stage = Stage(_Nodes(), run)
+    panel = RunPanel(stage.cell, run, stage.readings)
+    panel_page(panel, [panel.moment(sample) for sample in (0, run.n_steps)], until=panel.end)
     for sample in (0, run.n_steps // 2, run.n_steps):
         stage.show(sample)
-        readout(stage, sample)
+        panel.moment(sample)
     if turn % 40 == 0:
         for figure in (timeline_figure(run, readings), joint_figure(cell, run)):
             figure.savefig(io.BytesIO(), dpi=20)

@@ -203,6 +203,10 @@ class Closeness:
                     found.append((t - 1, NearPair(*self._labels[k], room + required), -room))
         return found
 
+    def names(self, pair: int) -> list[str]:
+        """Names of the two bodies of a pair of shapes."""
+        return [str(name) for name in self._labels[pair]]
+
     def pairs_without(self, left_out: Iterable[tuple[str, str]]) -> list[int]:
         """Pairs of shapes, without the pairs of these names."""
         names = set(left_out)
@@ -298,9 +302,9 @@ def with_clearance(recording: Recording, scene: CollisionScene | None, *, avoide
 
     Entries: ``closest_m``, ``between``, ``time_s``, ``margin_m``, ``avoided``, ``left_out`` (pairs of names that
     overlap at the start of a run without avoidance: the distances of these are not checked), ``times_s``,
-    ``distances_m`` and ``points_m``, the nearest points of both bodies. Where all pairs are left out only ``avoided``
-    and ``left_out`` are there. ``notes`` are those of the scene. Entries ``bodies`` and ``carried`` hold what stands
-    in the world and what the object is made of.
+    ``distances_m`` and ``points_m``, the nearest points of both bodies, and ``pairs``, their names. Where all pairs are
+    left out only ``avoided`` and ``left_out`` are there. ``notes`` are those of the scene. Entries ``bodies`` and
+    ``carried`` hold what stands in the world and what the object is made of.
     """
     if scene is None or _object_elsewhere(recording):
         return recording
@@ -318,7 +322,7 @@ def with_clearance(recording: Recording, scene: CollisionScene | None, *, avoide
     if found is None:
         return replace(recording, metadata={**recording.metadata, "clearance": entry}) if left_out else recording
     rows = np.unique(np.linspace(0, len(q) - 1, MOST_SAMPLES).round().astype(int))
-    distances, points = _nearest(scene, closeness, q[rows], closeness.pairs_without(left_out))
+    distances, points, pairs = _nearest(scene, closeness, q[rows], closeness.pairs_without(left_out))
     entry |= {
         "closest_m": found.pair.distance,
         "between": [found.pair.first, found.pair.second],
@@ -327,20 +331,22 @@ def with_clearance(recording: Recording, scene: CollisionScene | None, *, avoide
         "times_s": time[rows].tolist(),
         "distances_m": distances,
         "points_m": points,
+        "pairs": pairs,
     }
     return replace(recording, metadata={**recording.metadata, "clearance": entry})
 
 
 def _nearest(
     scene: CollisionScene, closeness: Closeness, q: Array, pairs: list[int]
-) -> tuple[list[float], list[list[list[float]]]]:
-    """The nearest pair at configurations (T, nq), for pictures: its distances (T,) [m], its points (T, 2, 3) [m].
+) -> tuple[list[float], list[list[list[float]]], list[list[str]]]:
+    """The nearest pair at configurations (T, nq), for pictures: distances (T,) [m], points (T, 2, 3) [m], names (T, 2).
 
     The controllers' distances choose the pair; its distance is that of ``closeness``.
     """
-    distances, apart, points = Distances(scene.built), list[float](), []
+    distances, apart, points, names = Distances(scene.built), list[float](), [], []
     for row in q:
         k = pairs[int(distances.all(row)[pairs].argmin())]
         apart.append(closeness.at(row, k))
         points.append([point.tolist() for point in distances.nearest_points(k)])
-    return apart, points
+        names.append(closeness.names(k))
+    return apart, points, names
