@@ -24,6 +24,7 @@ $(VENV)/.installed: pyproject.toml CMakeLists.txt $(wildcard coopqp/native/*.cpp
 
 demo: $(VENV)/.installed
 	$(BIN)/coopqp demo --force --out $(OUT)
+	$(BIN)/python docs/screenshots.py jog --if-browser --out $(OUT)
 
 # After every edit: lint and types, and beside them every test that is not marked slow, properties with a tenth of their
 # examples.

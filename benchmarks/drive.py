@@ -21,7 +21,7 @@ KEYS = ("case", "value", "bound", "unit", "holds")
 LEFT_OUT = (
     "three arms over DDS to rclpy: command to echo; ten minutes; an extra alone (they need another environment)",
     "apart at 0.19 m/s in real time, controller killed in position mode (they judge the machine's timing)",
-    "late by half a period with recorder and viewer attached (no ring in shared memory yet)",
+    "late by half a period with recorder and viewer attached (no viewer on the ring yet)",
     "ur_rtde and its stub (tests/drivers/test_ur.py); two Frankas in franky-sim (minutes)",
 )
 

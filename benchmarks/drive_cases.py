@@ -132,8 +132,8 @@ def _limit(k: int, speed: float | None) -> Callable[[Any, ControlLoop], object]:
     return lambda robots, loop: list(robots.values())[k].servo.limit(speed)
 
 
-def _halt(k: int) -> Callable[[Any, ControlLoop], object]:
-    return lambda robots, loop: list(robots.values())[k].servo.halt()
+def _halt(k: int, deceleration: float = np.inf) -> Callable[[Any, ControlLoop], object]:
+    return lambda robots, loop: list(robots.values())[k].servo.halt(deceleration=deceleration)
 
 
 def _release(k: int) -> Callable[[Any, ControlLoop], object]:
@@ -144,8 +144,8 @@ def _resume(robots: Any, loop: ControlLoop) -> None:
     loop.resume()
 
 
-def _stop(k: int) -> list[Event]:
-    return [(STOP_FROM, _halt(k)), (STOP_TO, _release(k)), (RESUMED, _resume)]
+def _stop(k: int, deceleration: float = np.inf) -> list[Event]:
+    return [(STOP_FROM, _halt(k, deceleration)), (STOP_TO, _release(k)), (RESUMED, _resume)]
 
 
 def _time(run: Run) -> float:
@@ -193,15 +193,17 @@ def half_speed() -> Iterator[Row]:
 def stops_gripped() -> Iterator[Row]:
     """A gripped arm stops for 2 s and goes on; 98 N of a force are the load's share."""
     share = drive(NONE, gripped=True).forces[-1]
-    bound = StallBound(0.005, dt=DT)
-    settings: tuple[tuple[str, tuple[float, ...], list[StallBound], float], ...] = (
-        ("", NONE, [], 1100.0),
-        (", lags 7, 32, 47 ms", LAGS, [], 1100.0),
-        (", StallBound(0.005)", NONE, [bound], 500.0),
+    bound, tight = StallBound(0.005, dt=DT), StallBound(0.003, dt=DT)
+    settings: tuple[tuple[str, tuple[float, ...], list[StallBound], float, float], ...] = (
+        ("", NONE, [], np.inf, 1100.0),
+        (", lags 7, 32, 47 ms", LAGS, [], np.inf, 1100.0),
+        (", StallBound(0.005)", NONE, [bound], np.inf, 500.0),
+        (", StallBound(0.005), braking at 40 rad/s²", NONE, [bound], 40.0, 500.0),
+        (", StallBound(0.003)", NONE, [tight], np.inf, 500.0),
     )
-    for name, given, more, most in settings:
+    for name, given, more, deceleration, most in settings:
         for k in range(3):
-            run = drive(given, gripped=True, events=_stop(k), constraints=more)
+            run = drive(given, gripped=True, events=_stop(k, deceleration), constraints=more)
             peak = run.force() if run.report.finished else np.nan
             case = f"{CELL.arm_names[k]} stops for 2 s, gripped{name}"
             yield Row(f"{case}: peak with the load's share", peak, most, "N")

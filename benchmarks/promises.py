@@ -28,6 +28,7 @@ from promise_cases import (
     proofs,
     screen,
     sensors,
+    shared,
 )
 
 KEYS = ("group", "case", "value", "bound", "unit", "holds")
@@ -40,6 +41,7 @@ GROUPS: dict[str, tuple[Callable[[bool], Iterator[promise_cases.Promise]], ...]]
     "operator": (operator.promises,),
     "programs": (programs.promises,),
     "screen": (screen.promises,),
+    "shared": (shared.promises,),
 }
 
 

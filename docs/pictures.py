@@ -35,6 +35,7 @@ PROGRAMS: Mapping[str, tuple[str, ...]] = {
     "coopqp demo --quiet --out {out}": ("docs/images/paper_lift.png", "docs/images/figure5.png"),
     "coopqp new new_cell --arm panda --arm xarm7 --quiet --out {out}": ("docs/howto/new_cell.png",),
     "python docs/movie.py --out {out}": ("docs/images/two_lifts.gif",),
+    "python docs/route_movie.py --out {out}": ("docs/images/way_round.gif",),
     "python docs/screenshots.py viewer --out {out}": ("docs/images/viewer.png",),
     "python docs/screenshots.py cell --out {out}": ("docs/images/view_cell.png",),
     "python docs/screenshots.py jog --out {out}": ("docs/images/jog.gif",),

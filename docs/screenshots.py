@@ -141,5 +141,7 @@ if __name__ == "__main__":
     parser = argparse.ArgumentParser(description="Screenshots for the pages.")
     parser.add_argument("picture", choices=PICTURES)
     parser.add_argument("--out", type=Path, required=True, metavar="FOLDER")
+    parser.add_argument("--if-browser", action="store_true", help="draw nothing where no browser is")
     arguments = parser.parse_args()
-    PICTURES[arguments.picture](arguments.out)
+    if find_browser() is not None or not arguments.if_browser:
+        PICTURES[arguments.picture](arguments.out)

@@ -1,4 +1,4 @@
-"""Write the measured tables of README.md and docs/reliability.md, from the records of ``make tables``, between marks.
+"""Write the measured tables of the pages, from the records of ``make tables``, between marks.
 
     python docs/tables.py out/bench
 
@@ -88,8 +88,8 @@ def markdown(rows: Sequence[Record]) -> str:
 
 #: The file, the mark and the records of each table.
 TABLES: dict[tuple[str, str], tuple[str, Callable[[Sequence[Record]], str]]] = {
-    ("README.md", "difficult"): ("behaviour.json", difficult),
-    ("README.md", "period"): ("compare_peers.json", period),
+    ("docs/measured.md", "difficult"): ("behaviour.json", difficult),
+    ("docs/measured.md", "period"): ("compare_peers.json", period),
     ("docs/reliability.md", "steps"): ("promises.json", steps),
 }
 
@@ -111,7 +111,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     """Command line."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
     parser.add_argument("records", type=Path, metavar="DIR", help="folder of the records")
-    parser.add_argument("--into", type=Path, default=ROOT, metavar="DIR", help="folder of README.md (this repository)")
+    parser.add_argument("--into", type=Path, default=ROOT, metavar="DIR", help="folder of docs (this repository)")
     args = parser.parse_args(argv)
     for (file, mark), (records, table) in TABLES.items():
         if not (args.records / records).is_file():

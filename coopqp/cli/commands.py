@@ -113,7 +113,8 @@ def _run_run(arguments: argparse.Namespace) -> int:
         again = Recording.load(arguments.replay)
         more = {} if "longest" not in again.metadata else {k: again.metadata[k] for k in ("settle", "longest")}
         operate = operating(events_of(again), again.metadata.get("begun"))
-        run = functools.partial(runs.obtain_run, str(arguments.cell), operate=operate, **more)
+        begun = again.metadata.get("begun")
+        run = functools.partial(runs.obtain_run, str(arguments.cell), operate=operate, begun=begun, **more)
     folder = runs.output_folder(place, asked, products, out=arguments.out, force=arguments.force)
     with reporter(quiet=arguments.quiet) as report:
         if note:

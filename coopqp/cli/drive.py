@@ -54,7 +54,13 @@ def add_drive(commands: Any) -> None:
     parser.add_argument(
         "--speed", type=float, default=0.1, metavar="SHARE", help="share of the path's speed, up to 1 (0.1)"
     )
-    parser.add_argument("--record", type=Path, metavar="FILE", help="also write the run as a recording (.npz)")
+    parser.add_argument(
+        "--record",
+        type=Path,
+        metavar="FILE",
+        help="also write the run: a recording, whose "
+        "name ends in .npz; without an ending a ROS 2 bag (MCAP), while it goes on",
+    )
 
 
 def run_drive(arguments: argparse.Namespace) -> int:
@@ -68,9 +74,12 @@ def run_drive(arguments: argparse.Namespace) -> int:
     if arguments.record is not None:
         if arguments.enable is None:
             raise InvalidInputError("nothing is driven without --enable", "--record", "Give both, or neither.")
-        if arguments.record.suffix != ".npz":
-            raise InvalidInputError(f"'{arguments.record}' does not end in .npz", "--record", "Give another name.")
-        check_new(arguments.record, force=arguments.force)
+        if arguments.record.suffix not in (".npz", ""):
+            raise InvalidInputError(
+                f"'{arguments.record}' does not end in .npz", "--record", "Give another name, for a bag one without."
+            )
+        if arguments.record.suffix:
+            check_new(arguments.record, force=arguments.force)
     run = load_cell_file(arguments.cell)
     if run.controller_kind != "qp":
         raise InvalidInputError(f"the controller is '{run.controller_kind}'", "drive", 'Give kind = "qp".')
@@ -217,6 +226,7 @@ def _drive(
     arguments: argparse.Namespace,
     lead: Callable[[ControlLoop], PageLink] | None,
 ) -> int:
+    from coopqp.drivers.bag_recorder import BagRecorder
     from coopqp.drivers.led_loop import ShownRecorder
     from coopqp.drivers.loop import ControlLoop
     from coopqp.drivers.options import LoopOptions
@@ -224,26 +234,37 @@ def _drive(
 
     controller, slower = _bounded(run)
     controller.set_override(speed)
-    recorder = None if arguments.record is None else MemoryRecorder(controller)
+    recorder: MemoryRecorder | BagRecorder | None = None
+    if arguments.record is not None and arguments.record.suffix:
+        recorder = MemoryRecorder(controller)
+    elif arguments.record is not None:
+        recorder = BagRecorder(run.scenario.cell.joint_names, arguments.record)
     shown = ShownRecorder(recorder)
     loop = ControlLoop(controller, drivers, LoopOptions(ramp_time=2.0), recorder=recorder if lead is None else shown)
-    refused = loop.refused()
-    if refused:
-        for line in refused:
-            say("refused:", line)
-        return _REFUSED
-    with contextlib.ExitStack() as page:
+    with contextlib.ExitStack() as ending:
+        if isinstance(recorder, BagRecorder):
+            ending.callback(recorder.close)
+        refused = loop.refused()
+        if refused:
+            for line in refused:
+                say("refused:", line)
+            return _REFUSED
         if lead is not None:
             link = lead(loop)
-            page.callback(link.close)
+            ending.callback(link.close)
             shown.show = link.observe
-        seen = page.enter_context(interrupts(loop))
+        seen = ending.enter_context(interrupts(loop))
         if not arguments.quiet:
             print(slower, flush=True)
         report = loop.run()
     if not arguments.quiet:
         print("\n".join(report.lines()))
-    if recorder is not None:
+    if isinstance(recorder, BagRecorder):
+        missing, why = recorder.close()
+        if missing:
+            say("recording:", f"{missing} periods are missing: {why}")
+        print_written([arguments.record], quiet=arguments.quiet)
+    elif recorder is not None:
         recorder.recording({"scenario": run.scenario.name}).save(arguments.record)
         print_written([arguments.record], quiet=arguments.quiet)
     if seen:

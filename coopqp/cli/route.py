@@ -43,6 +43,7 @@ def _add_route(commands: Any) -> None:
     parser.add_argument("--seed", type=_seed, metavar="N", help="seed of the search (0, or the file's)")
     parser.add_argument("--out", type=Path, metavar="FILE", help="write the way as a cell file, TOML")
     parser.add_argument("--json", type=Path, metavar="FILE", help="also write the answer as JSON")
+    parser.add_argument("--html", type=Path, metavar="FILE", help="also write a page that plays the way (extra viewer)")
 
 
 def _run_route(arguments: argparse.Namespace) -> int:
@@ -53,7 +54,11 @@ def _run_route(arguments: argparse.Namespace) -> int:
     from coopqp.files.cellfile.build import load_search
     from coopqp.files.cellfile.write import timed_text
 
-    check_new(arguments.out, arguments.json, force=arguments.force)
+    check_new(arguments.out, arguments.json, arguments.html, force=arguments.force)
+    if arguments.html is not None:
+        from coopqp.visualization.viewer import require_viser
+
+        require_viser()
     given = {"time_limit": arguments.time, "seed": arguments.seed}
     changes = {name: value for name, value in given.items() if value is not None}
     settings, task = load_search(arguments.cell)
@@ -71,7 +76,11 @@ def _run_route(arguments: argparse.Namespace) -> int:
         contents[arguments.out] = text.encode()
     if arguments.json is not None:
         contents[arguments.json] = json_bytes(route.record())
-    files = write_files(contents)
+    files = list(write_files(contents))
+    if arguments.html is not None and route.found:
+        from coopqp.visualization.route_page import export_route
+
+        files.append(export_route(route, arguments.html))
     if not arguments.quiet:
         print(route.verdict.value)
         for line in route.explain().splitlines():

@@ -19,7 +19,7 @@ from coopqp.paths.scenario import Scenario
 from coopqp.planning.self_motion import led_path
 from coopqp.simulation.engine import run_in_engine
 from coopqp.simulation.evaluation.closeness import default_scene, with_clearance
-from coopqp.simulation.events import Operate
+from coopqp.simulation.events import Operate, begin_as
 from coopqp.simulation.plants.kinematic import KinematicPlant, Plant
 from coopqp.simulation.recording.recording import Recording
 from coopqp.simulation.recording.scene import describe_object, read_object
@@ -55,6 +55,7 @@ def obtain_run(
     progress: ProgressCallback | None = None,
     meshes: bool = False,
     operate: Operate | None = None,
+    begun: dict[str, Any] | None = None,
     settle: float = 0.0,
     longest: float | None = None,
 ) -> Recording:
@@ -64,6 +65,7 @@ def obtain_run(
         name: a file, or one of :data:`coopqp.scenarios.SCENARIOS`.
         progress: as in :func:`coopqp.simulate`.
         meshes: as in :meth:`Recording.load`.
+        begun: override and pause at the start, as of :func:`coopqp.simulation.events.begin_as`.
         operate, settle, longest: of a run, as in :func:`coopqp.simulate`; a cell file's own ones unless they are more.
 
     Raises:
@@ -78,7 +80,7 @@ def obtain_run(
     if file.suffix in (TOML_SUFFIX, *YAML_SUFFIXES):
         task = load_cell_file(file)
         task = replace(task, settle=max(task.settle, settle), longest=task.longest if longest is None else longest)
-        return task.run(progress=progress, operate=operate)
+        return task.run(progress=progress, operate=operate, begun=begun)
     if file.suffix == ".npz" or (file.exists() and name not in SCENARIOS):
         return Recording.load(file, meshes=meshes)
     if name not in SCENARIOS:
@@ -90,8 +92,10 @@ def obtain_run(
         run = run_in_engine(scenario, progress=progress, metadata=_metadata(scenario))
         return with_clearance(run, default_scene(scenario), avoided=False)
     live = _scenario_task(name)
+    controller = live.controller()
+    begin_as(controller, begun)
     run = simulate(
-        live.controller(), q_start=live.q_start, duration=longest, settle=settle, progress=progress, operate=operate,
+        controller, q_start=live.q_start, duration=longest, settle=settle, progress=progress, operate=operate,
         metadata=dict(live.metadata),
     )  # fmt: skip
     return live.finished(run)

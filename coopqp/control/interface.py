@@ -18,6 +18,7 @@ from coopqp.model.grasp import Grasp
 from coopqp.model.limits import BindingLimit
 from coopqp.model.shapes import NearPair
 from coopqp.model.state import CellState
+from coopqp.paths.moving_grasps import grasp_at
 from coopqp.paths.path import ObjectPath
 from coopqp.shown import Shown
 from coopqp.spatial import Array
@@ -285,7 +286,7 @@ class ControlStep(Shown):
     @property
     def relative_errors(self) -> Array:
         """Distance [mm] and angle [deg] between the object poses of each pair of arms (0,1), (0,2), … (1,2) …"""
-        e = self.grasp.relative_errors(self.state)
+        e = grasp_at(self.grasp, self.path, self.clock).relative_errors(self.state)
         return np.column_stack([1e3 * np.linalg.norm(e[:, :3], axis=1), np.rad2deg(np.linalg.norm(e[:, 3:], axis=1))])
 
     @property

@@ -36,7 +36,7 @@ from coopqp.model.state import CellState
 from coopqp.paths.elbows import Elbows
 from coopqp.paths.grasp_motion import GraspMotion
 from coopqp.paths.guarded import GuardedPath, is_known
-from coopqp.paths.moving_grasps import grasp_at
+from coopqp.paths.moving_grasps import HOLD_ON, grasp_at, refuse_motion
 from coopqp.paths.path import HoldPath, ObjectPath
 from coopqp.paths.servo import ServoPath
 from coopqp.spatial import Array, Placement, as_placement
@@ -117,6 +117,8 @@ class QPController(OperatorCalls):
         if isinstance(elbows, Elbows) and elbows.x.shape[1:] != (self.cell.nv,):
             raise InvalidInputError("its elbows are those of another cell", "QPController: path", "Give this cell's.")
         grasps = getattr(path, "grasps", None)
+        if self.cell.groups:
+            refuse_motion(path, "QPController: path", HOLD_ON)
         if isinstance(grasps, GraspMotion):
             self._check_motion(grasps)
         begin = self._operator.restart(path, clock)

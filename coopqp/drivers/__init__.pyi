@@ -1,3 +1,4 @@
+from .bag_recorder import BagRecorder as BagRecorder
 from .commissioning import commission_sensors_by_drivers as commission_sensors_by_drivers
 from .driver import (
     Bodies as Bodies,
@@ -12,6 +13,7 @@ from .engine import EngineCell as EngineCell, EngineRobot as EngineRobot
 from .franka import FrankaDriver as FrankaDriver, FrankaOptions as FrankaOptions
 from .loop import ControlLoop as ControlLoop
 from .options import LoopOptions as LoopOptions
+from .real_time import RealTimeRun as RealTimeRun
 from .recorder import MemoryRecorder as MemoryRecorder
 from .report import LoopReport as LoopReport
 from .ros2 import Ros2Driver as Ros2Driver, Ros2Options as Ros2Options

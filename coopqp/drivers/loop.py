@@ -385,6 +385,11 @@ class ControlLoop(LoopCalls):
             self._end("the object is at the end of its path", failed=False)
         return False
 
+    @property
+    def _tools_move(self) -> bool:
+        """Whether tools move on the object along the path: the looks do not say where they were."""
+        return bool(self.controller.path.grasps is not None and self.controller.path.grasps.moves)
+
     def _report(self, time: float, periods: int, missed: int, late: Array) -> LoopReport:
         motion = self._motion
         assert motion is not None
@@ -407,7 +412,7 @@ class ControlLoop(LoopCalls):
             guarded=motion.play_out.guarded,
             velocity=motion.velocity_share,
             acceleration=motion.acceleration_share,
-            apart=largest_apart(self.cell, self.controller.grasp, self._looks),
+            apart=largest_apart(self.cell, self.controller.grasp, [] if self._tools_move else self._looks),
             largest_force=self._force,
             statuses=dict(self._statuses),
             process=self._process,

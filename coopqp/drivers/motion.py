@@ -15,10 +15,11 @@ from coopqp.drivers.options import LoopOptions
 from coopqp.drivers.play_out import PlayOut
 from coopqp.drivers.robots import Robot, turned
 from coopqp.model.cell import RobotCell
+from coopqp.native.constants import LONGEST_LAG
 from coopqp.spatial import Array
 
-#: Lags are learnt up to this [s], where a robot moves at this share of its speed limits at least.
-LONGEST_LAG, _LEARNS_FROM = 0.15, 1e-3
+#: Lags are learnt where a robot moves at this share of its speed limits at least.
+_LEARNS_FROM = 1e-3
 #: Below this share of its speed limits a robot's place says little of how late it is.
 _SLOW = 5e-3
 #: Periods of the history of the shared clock.

@@ -13,7 +13,7 @@ from coopqp.drivers.timing import LoopTime, MonotonicTime
 from coopqp.errors import CoopqpError, InvalidInputError
 from coopqp.simulation.plants.kinematic import KinematicPlant, Plant
 from coopqp.simulation.recording.recording import Recording
-from coopqp.simulation.simulate import RunRecorder
+from coopqp.simulation.simulate import RunRecorder, begin
 from coopqp.spatial import Array
 
 #: Calls that :meth:`RealTimeRun.call` passes on.
@@ -64,8 +64,7 @@ class RealTimeRun:
 
     def _begin(self) -> None:
         """At the start, at rest."""
-        self._measured = self._plant.reset(self._q_start)
-        self.controller.reset(self._measured)
+        self._measured = begin(self.controller, self._plant, self._q_start)
         self._record_from_here()
 
     def _record_from_here(self) -> None:
@@ -153,5 +152,6 @@ class RealTimeRun:
         recorder = self._recorder
         if recorder is None or self.recorded == 0:
             raise InvalidInputError("nothing was kept", "recording", "Give records=True, and run it.")
+        lasts = recorder.steps * self.controller.dt
         held = {"plant": type(self._plant).__name__, "gripped": getattr(self._plant, "gripped", None)}
-        return recorder.recording({**held, **(metadata or {})})
+        return recorder.recording({**held, "settle": lasts, "longest": lasts, **(metadata or {})})

@@ -44,7 +44,7 @@ class ServoModel:
         self.lag, self.delay = lag, delay
         self._commands = StampedCommands(q)
         self._speed: float | None = None
-        self._halted = False
+        self._halted, self._deceleration, self._speeds = False, np.inf, np.zeros(len(q))
         self._offset, self._released = np.zeros(len(q)), -np.inf
 
     def push(self, at: float, q: Array) -> None:
@@ -57,9 +57,9 @@ class ServoModel:
             self._begin_release()
         self._speed = speed
 
-    def halt(self, *, says: Condition = Condition.RUNNING) -> None:
-        """Stand from now on, and say so or not."""
-        self._halted, self.condition = True, says
+    def halt(self, *, says: Condition = Condition.RUNNING, deceleration: float = np.inf) -> None:
+        """Stand from now on, and say so or not; the target stops with a deceleration [rad/s² or m/s²], or at once."""
+        self._halted, self.condition, self._deceleration = True, says, deceleration
 
     def release(self) -> None:
         """Follow the commands again, within 0.1 s."""
@@ -85,12 +85,19 @@ class ServoModel:
         left = 1.0 - (self.now - self._released) / _RELEASE
         if left > 0.0:
             wanted = wanted + left * self._offset
-        if not self._halted:
+        if self._halted:
+            speed = float(np.abs(self._speeds).max())
+            self._speeds = (
+                self._speeds * max(0.0, 1.0 - self._deceleration * h / speed) if speed > 0.0 else self._speeds
+            )
+            self.target = self.target + h * self._speeds
+        else:
             way = wanted - self.target
             length = float(np.linalg.norm(way))
             if self._speed is not None and length > self._speed * h:
                 way = way * (self._speed * h / length)
             self.target = self.target + way
+            self._speeds = way / h
         before = self.q
         share = 1.0 if self.lag == 0.0 else -np.expm1(-h / self.lag)
         self.q = before + share * (self.target - before)

@@ -97,11 +97,14 @@ class Arm:
             model = pin.buildModelFromUrdf(str(source))
         except (ValueError, RuntimeError) as error:
             raise ModelError(f"arm '{name}': {source} is not a readable URDF ({_cause(error)})") from error
-        for joint in mimics:
-            if joint not in (locked_joints or {}):
-                raise ModelError(
-                    f"arm '{name}': joint '{joint}' mimics another. Lock it: locked_joints={{'{joint}': 0.0}}."
-                )
+        free = [joint for joint in mimics if joint not in (locked_joints or {})]
+        if free:
+            lock = ", ".join(f"'{joint}': 0.0" for joint in free)
+            more = f", and so {'does' if len(free) == 2 else 'do'} {len(free) - 1} more" if len(free) > 1 else ""
+            raise ModelError(
+                f"arm '{name}': joint '{free[0]}' mimics another{more}. Lock {'them' if more else 'it'}: "
+                f"locked_joints={{{lock}}}."
+            )
         shapes: dict[str, pin.GeometryModel | None] = {"visual": None, "collision": None}
         if geometry:
             kinds = {"visual": pin.GeometryType.VISUAL, "collision": pin.GeometryType.COLLISION}

@@ -105,7 +105,7 @@ def freed_cell(cell: RobotCell, grasp: Grasp) -> FreedCell:
 
     Raises:
         LooseObjectError: the object is loose.
-        InvalidInputError: there is not one placement per arm.
+        InvalidInputError: there is not one placement per arm, or arms share joints.
         UnknownNameError: no such arm.
     """
     for free in grasp.free:
@@ -113,6 +113,7 @@ def freed_cell(cell: RobotCell, grasp: Grasp) -> FreedCell:
             raise UnknownNameError("arm", free.arm, cell.arm_names, "Grasp.freed")
     rigid = Grasp(grasp.T_object_tool)
     rigid.check_arms(cell)
+    cell.refuse_shared("freed_cell")
     refuse_loose(cell.arm_names, grasp)
     arms = []
     for arm in cell.arms:

@@ -142,7 +142,12 @@ class Straight(Piece):
         """The piece from ``start`` to ``end`` [m]."""
         T = self.pose(start)
         share = (end - start) / self.length
-        return Straight(T.rotation, T.translation, share * self.turn, share * self.way, end - start)
+        return Straight(*_rows(T), share * self.turn, share * self.way, end - start)
+
+
+def _rows(T: pin.SE3) -> tuple[Array, Array]:
+    """R and p of a pose, R row by row: Pinocchio's own is column by column, and its products round otherwise."""
+    return np.array(T.rotation, order="C"), np.array(T.translation)
 
 
 def ramp(x: _Number) -> tuple[_Number, _Number, _Number]:
@@ -364,5 +369,5 @@ def blended(lines: Sequence[Straight], *, distance: float | Array, angle: float 
             both = line, lines[i + 1]
             turns = np.array([half / x.length * x.turn for x in both])
             ways = np.array([half / x.length * x.way for x in both])
-            pieces.append(Blend(T.rotation, T.translation, turns, ways, 2.0 * half))
+            pieces.append(Blend(*_rows(T), turns, ways, 2.0 * half))
     return PathGeometry(tuple(pieces))

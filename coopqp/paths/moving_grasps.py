@@ -18,6 +18,10 @@ def grasp_at(grasp: Grasp, path: ObjectPath, clock: float) -> Grasp:
     return grasp if path.grasps is None else grasp.moved_by(path.grasps.placements(clock))
 
 
+#: The remedy where arms share joints.
+HOLD_ON = "Arms that share joints hold on all the time: give a path without such motion, or lock these joints."
+
+
 def refuse_motion(path: ObjectPath, where: str, remedy: str) -> None:
     """Refuse a path along which tools move on the object, or let it go.
 

@@ -25,6 +25,7 @@ from coopqp.model.grasp import Grasp
 from coopqp.paths.elbows import Elbows
 from coopqp.paths.geometry import PathGeometry
 from coopqp.paths.guarded import GuardedPath
+from coopqp.paths.moving_grasps import HOLD_ON, refuse_motion
 from coopqp.paths.path import ObjectPath
 from coopqp.paths.timed import TimedPath
 from coopqp.planning.arm_check import ArmCheck, UndecidedInterval, arm_record
@@ -260,6 +261,8 @@ def check_path(
             "check_path: scene",
             "Check the path without a scene; a run keeps clear with Clearance.",
         )
+    if cell.groups:
+        refuse_motion(path, "check_path: path", HOLD_ON)
     samples, segments = sample_path(path, grasp), segments_of(path)
     start = None if q_start is None else cell.check_configuration(q_start, "check_path: q_start")
     arms: list[ArmCheck] = []

@@ -73,10 +73,10 @@ def _leads(check: PathCheck, motion: TimedMotion, scene: Bodies) -> Iterator[Lea
         evading = way.positions(places_along(geometry, s))[0]
         for width in _WIDTHS:
             for part in _PARTS if width == _WIDTHS[0] else _PARTS[-1:]:
-                yield _smooth(s, least + part * (evading - least), width)
+                yield smooth(s, least + part * (evading - least), width)
 
 
-def _smooth(s: Array, x: Array, width: float) -> Lead:
+def smooth(s: Array, x: Array, width: float) -> Lead:
     """A motion through the mean of rows (K, nv) over their neighbours, with the same ends, bent smoothly."""
     from scipy.interpolate import CubicSpline  # takes long to import
     from scipy.ndimage import gaussian_filter1d

@@ -6,6 +6,7 @@ from :meth:`coopqp.model.batch.ArmKinematics.derivatives`.
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import final
@@ -19,6 +20,7 @@ from coopqp.model.cell import RobotCell
 from coopqp.model.grasp import Grasp
 from coopqp.paths.geometry import PathGeometry
 from coopqp.planning.arm_starts import why_it_ends
+from coopqp.planning.on_shared import OnShared, group_joints
 from coopqp.planning.segments import Indices
 from coopqp.spatial import Array, cross
 
@@ -132,17 +134,22 @@ def spread_knots(
 
 
 def led_knots(
-    kinematics: ArmKinematics, T_object_tool: pin.SE3, geometry: PathGeometry, s: Array, lead: Lead
+    newton: Callable[[Array, Array], tuple[Array, Array]],
+    T_object_tool: pin.SE3,
+    geometry: PathGeometry,
+    s: Array,
+    lead: Lead,
 ) -> ArmKnots:
     """Knots of a redundant arm at s (K,): at each Newton's method goes the least way from what ``lead`` says there.
 
-    So positions are a smooth function of s, and their derivatives are differences over neighbours.
+    So positions are a smooth function of s, and their derivatives are differences over neighbours. ``newton`` has
+    positions and residuals from rows of poses and guesses; joints that arms share it leaves as they are led.
     """
 
     def solved(at: Array) -> tuple[Array, Array]:
         R, p = geometry.poses(at)
         T = np.concatenate([(R @ T_object_tool.rotation).reshape(-1, 9), p + R @ T_object_tool.translation], axis=1)
-        return kinematics.newton(T, lead(at), tolerance=_EXACT, steps=12)
+        return newton(T, lead(at))
 
     q, residual = solved(s)
     far = ~(residual <= _REACHED)
@@ -181,6 +188,11 @@ class Following:
         self._cell, self._grasp, self._geometry, self._x0, self._lead = cell, grasp, geometry, x0, lead
         self._arms = [ArmKinematics(arm) for arm in cell.arms]
         self._columns = [own[arm.columns] for own, arm in zip(cell.columns, self._arms, strict=True)]
+        self._on_shared = {
+            cell.arm_names[k]: OnShared(cell.arms[k], cell.columns[k], group_joints(cell, group))
+            for group in cell.groups
+            for k in group
+        }
         self._first = Motion.of(geometry, merged(np.linspace(0.0, geometry.length, _FIRST_LOOK), self._within(_LOOKS)))
         self._coarse: list[ArmKnots] = []
         for name, arm, X, own in zip(cell.arm_names, self._arms, grasp.T_object_tool, self._columns, strict=True):
@@ -231,7 +243,9 @@ class Following:
         lead = self._lead
         if lead is None or arm.n <= 6:
             return None
-        return led_knots(arm, T_object_tool, self._geometry, s, lambda at: lead(at)[:, own])
+        alone = functools.partial(arm.newton, tolerance=_EXACT, steps=12)
+        newton = self._on_shared[arm.arm.name].newton if len(arm.shared) else alone
+        return led_knots(newton, T_object_tool, self._geometry, s, lambda at: lead(at)[:, own])
 
     def with_marks(self, s: Array) -> Array:
         """s with the marks between pieces."""

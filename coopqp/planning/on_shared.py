@@ -15,6 +15,9 @@ from coopqp.model.joint_limits import LIMIT_FIELDS, JointLimits
 from coopqp.planning.segments import Indices
 from coopqp.spatial import Array
 
+#: Tolerance of Newton's method [m, rad].
+_EXACT = 1e-13
+
 
 @final
 class OnShared:
@@ -69,6 +72,23 @@ class OnShared:
                 T = (self._zero * self._carrier(row).inverse()).homogeneous
             moved[i] = T @ poses[i]
         return moved
+
+    def newton(self, rows: Array, guess: Array) -> tuple[Array, Array]:
+        """Positions (M, n) of all joints that reach poses of the tool, with the shared joints as they are guessed.
+
+        Args:
+            rows: T_world_tool as rows of R (9), p (3), (M, 12).
+            guess: positions of all joints (M, n).
+
+        Returns:
+            The positions, and residuals (M,) as :meth:`ArmKinematics.newton` has them.
+        """
+        poses = np.zeros((len(rows), 4, 4))
+        poses[:, :3, :3], poses[:, :3, 3], poses[:, 3, 3] = rows[:, :9].reshape(-1, 3, 3), rows[:, 9:], 1.0
+        s = np.zeros((len(rows), int(self._which.max()) + 1))
+        s[:, self._which] = guess[:, self.whole.shared]
+        q, residual = self.alone.newton(self.seen(s, poses), guess[:, self.own], tolerance=_EXACT, steps=12)
+        return self.joined(s, q), residual
 
     def joined(self, s: Array, q: Array) -> Array:
         """Positions (M, n) of all joints, from those of the group's shared joints (M, S) and of the own ones."""

@@ -21,10 +21,11 @@ from coopqp.paths.geometry import PathGeometry, Straight, blended
 from coopqp.paths.path import LinePath, ObjectPath
 from coopqp.paths.timed import SpeedProfile, TimedPath
 from coopqp.planning.branch_checks import PathVerdict, follows
-from coopqp.planning.check import PathCheck, check_motion, check_path
-from coopqp.planning.clear_elbows import clear_plan
+from coopqp.planning.check import PathCheck, check_motion, check_path, places_along
+from coopqp.planning.clear_elbows import clear_plan, smooth
 from coopqp.planning.clearance_check import Bodies, check_scene
 from coopqp.planning.fastest_start import faster_start
+from coopqp.planning.knots import Lead
 from coopqp.planning.payload import Payload
 from coopqp.planning.starts import Start, find_start
 from coopqp.planning.timing import SHARE, geometry_of, timed_motion
@@ -34,6 +35,8 @@ from coopqp.spatial import Array, Placement, as_placements
 _WORTH_SAYING = 0.01
 #: Halvings of the search for the largest clear tolerance of blends: to 1 % of what was asked.
 _SHARE_HALVINGS = 7
+#: Samples of the motion of shared joints along the whole path, and the deviation of the mean that smooths it.
+_LED_SAMPLES, _LED_WIDTH = 240, 0.02
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -127,23 +130,25 @@ def plan(
             raise InvalidInputError("the path is no chain of straight lines", where, "Give one, or no blend.")
         geometry = blended(lines, distance=blend, angle=angle)
     start, starts = None, as_count(starts, f"{where}: starts")
+    if starts > 1 or payload is not None:
+        cell.refuse_shared(f"{where}: {'starts' if starts > 1 else 'payload'}")
     if q_start is not None and starts > 1:
         raise InvalidInputError("starts to compare beside a start", where, "Give one of both.")
     if scene is not None and starts > 1:
         raise InvalidInputError("starts to compare beside a scene", where, "Give one of both.")
     if q_start is None:
         # On a path of the user's the clocks of a message are the user's.
-        route = path if isinstance(path, ObjectPath) and blend == 0.0 else some_timing(geometry)
-        start = find_start(cell, grasp, route, free_roll=free_roll, scene=scene)
+        start = find_start(cell, grasp, _route(path, geometry, blend), free_roll=free_roll, scene=scene)
         if starts > 1:
             start = faster_start(cell, geometry, start, starts)
         q_start, grasp = start.q, start.grasp
     q = cell.check_configuration(q_start, f"{where}: q_start")
+    shared = _shared_lead(cell, grasp, _route(path, geometry, blend), geometry, q)
     timing = functools.partial(
         timed_motion, cell, grasp, geometry, q_start=q, payload=payload, bounds=bounds, jerk=jerk, share=share,
         knots=knots,
     )  # fmt: skip
-    motion = timing()
+    motion = timing(lead=shared)
     timed = motion.path
     if scene is None:
         return Plan(q_start=q, grasp=grasp, path=timed, start=start)
@@ -154,13 +159,35 @@ def plan(
             timed = timed.kept_clear()
             return Plan(q_start=q, grasp=grasp, path=timed, start=start, check=own.on(timed))
     check = check_path(cell, grasp, timed, q_start=q, scene=scene)
-    if redundant and check.verdict is not PathVerdict.INFEASIBLE:
+    if redundant and not cell.groups and check.verdict is not PathVerdict.INFEASIBLE:
         clear = clear_plan(check, motion, scene, lambda lead: timing(lead=lead))
         if clear is not None:
             return Plan(q_start=q, grasp=grasp, path=clear[0], start=start, check=clear[1])
     if not check.feasible:
         _refuse(check, lines, blend, angle)
     return Plan(q_start=q, grasp=grasp, path=timed, start=start, check=check)
+
+
+def _route(path: Any, geometry: PathGeometry, blend: float) -> ObjectPath:
+    """The path with its own clocks where it has some."""
+    return path if isinstance(path, ObjectPath) and blend == 0.0 else some_timing(geometry)
+
+
+def _shared_lead(cell: RobotCell, grasp: Grasp, route: ObjectPath, geometry: PathGeometry, q: Array) -> Lead | None:
+    """Where joints that arms share are along the path, as its check proves it; None where no arms share joints.
+
+    Raises:
+        UnreachableError, UndecidedError: the arms do not follow the path, or it is not decided.
+    """
+    if not cell.groups:
+        return None
+    check = check_path(cell, grasp, route, q_start=q)
+    proved = check.proved_trajectory()
+    if proved is None:
+        kind = UnreachableError if check.verdict is PathVerdict.INFEASIBLE else UndecidedError
+        raise kind(check.explain().replace("\n", " "))
+    s = np.linspace(0.0, geometry.length, _LED_SAMPLES)
+    return smooth(s, proved.positions(places_along(geometry, s))[0], _LED_WIDTH)
 
 
 def _refuse(check: PathCheck, lines: Sequence[Straight], blend: float, angle: float) -> NoReturn:

@@ -35,8 +35,8 @@ _STEP, _STEPS = 0.8, 12
 _WANTED = (0.1, 0.02)
 #: Peak of a quintic time law's speed over its mean.
 _PEAK = 1.875
-#: Steps that lead a redundant arm away from its limits at the start [rad or m].
-_RELAXED = (0.3, 0.2, 0.1, 0.05)
+#: Steps that lead a redundant arm away from its limits: at the start, and in a table where it is close to one.
+_RELAXED, _LEADS, _CLOSE = (0.3, 0.2, 0.1, 0.05), (0.1, 0.05), 0.35
 
 
 @final
@@ -205,7 +205,12 @@ def _flooded(kin: ArmKinematics, seen: Array, neighbours: list[list[int]], h: in
         seeds = q[b[:, 0], b[:, 1]]
         answer = kin.solve(seen[a[:, 0], a[:, 1]], seeds, steps=_STEPS, longest=_STEP)
         good = answer.reached & (np.abs(answer.q - seeds).max(axis=1) <= _STEP) & (answer.sigma_min > 1e-3)
-        q[a[good, 0], a[good, 1]] = answer.q[good]
+        rows, poses = answer.q[good], seen[a[good, 0], a[good, 1]]
+        if kin.n > 6 and len(rows):
+            close = kin.margins(rows).min(axis=1) < _CLOSE
+            for length in _LEADS if close.any() else ():
+                rows[close] = away_from_limits(kin, poses[close], rows[close], length)
+        q[a[good, 0], a[good, 1]] = rows
         return [cell for cell, fine in zip(to, good.tolist(), strict=True) if fine]
 
     tried: set[tuple[tuple[int, int], tuple[int, int]]] = set()

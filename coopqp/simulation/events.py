@@ -78,15 +78,25 @@ def operating(events: Iterable[Event], begun: dict[str, Any] | None = None) -> O
     waiting = sorted(events, key=lambda event: event.step)
 
     def operate(controller: Any, done: int) -> None:
-        if done == 0 and begun is not None and not (begun["override"] == 1.0 and not begun["paused"]):
-            raise InvalidInputError(
-                f"the run began with an override of {begun['override']:g}, paused: {begun['paused']}",
-                "replay", "Set them on the controller before simulate.",
-            )  # fmt: skip
+        if done == 0 and begun is not None:
+            now = {"override": controller.override, "paused": controller.paused}
+            if now != {name: begun[name] for name in now}:
+                raise InvalidInputError(
+                    f"the run began with an override of {begun['override']:g}, paused: {begun['paused']}",
+                    "replay", "Set them on the controller before simulate: begin_as.",
+                )  # fmt: skip
         while waiting and waiting[0].step <= done:
             waiting.pop(0).make(controller)
 
     return operate
+
+
+def begin_as(controller: Any, begun: dict[str, Any] | None) -> None:
+    """Set override and pause of a controller as a recorded run began, entry ``begun`` of its metadata."""
+    if begun is not None and begun["override"] != 1.0:
+        controller.set_override(begun["override"])
+    if begun is not None and begun["paused"]:
+        controller.pause()
 
 
 def differs_from(first: Recording, second: Recording) -> int | None:

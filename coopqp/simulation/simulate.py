@@ -101,10 +101,7 @@ def simulate(
     ask = _step_call(controller, plant)
     if loads and not hasattr(plant, "sensed_wrenches"):
         raise InvalidInputError(f"a {type(plant).__name__} has no forces", "simulate: loads", "Give a PhysicsPlant.")
-    measured = plant.reset(q_start)
-    measure = getattr(plant, "measure", None)
-    readings = [measured] if measure is None else [measured, *(measure() for _ in range(_REST_SAMPLES - 1))]
-    controller.reset(cell.average(readings))  # noise averages out
+    measured = begin(controller, plant, q_start)
     recorder = RunRecorder(controller, measured, plant if loads else None)
     nominal = max(1, round((longest if endless else controller.path.duration + after) / controller.dt))
     elapsed, rest, still = 0.0, 0.0, 0.0
@@ -128,6 +125,16 @@ def simulate(
             break
     held = {"plant": type(plant).__name__, "gripped": getattr(plant, "gripped", None)}
     return recorder.recording({**held, "settle": after, "longest": longest, **(metadata or {})})
+
+
+def begin(controller: Controller, plant: Plant, q_start: ArrayLike) -> Array:
+    """Reset a plant, and the controller at the mean of what is measured at rest. Returns the first reading (nq,)."""
+    measured = plant.reset(q_start)
+    measure = getattr(plant, "measure", None)
+    readings = [measured] if measure is None else [measured, *(measure() for _ in range(_REST_SAMPLES - 1))]
+    cell: RobotCell = controller.cell
+    controller.reset(cell.average(readings))  # noise averages out
+    return measured
 
 
 def _step_call(controller: Controller, plant: Plant) -> Callable[[Array], ControlStep]:

@@ -145,7 +145,7 @@ def glance(name: str, check: PathCheck, box: Body, scene: CollisionScene | None)
     x = check.cell.positions(pin.neutral(check.cell.model))
     short = {}
     for k, (arm, kin) in enumerate(zip(check.arms, kinematics, strict=True)):
-        own = check.cell.v_slices[k].start + kin.columns
+        own = check.cell.columns[k][kin.columns]
         target = pose * check.grasp.T_object_tool[k]
         x[own] = _nearest(kin, target, _seeds(kin, arm, clock))
         if arm.arm in stuck:

@@ -66,7 +66,7 @@ def joint_figure(cell: RobotCell, recording: Recording) -> Figure:
     )
     reach = 1.15 * max(5.0, float(np.nanmax(np.abs(speed[:, _coordinates(cell, shown)]), initial=0.0)))
     for place, (k, (top, bottom, below)) in enumerate(zip(shown, arm_panels(grid, len(shown)), strict=True)):
-        joints = range(*cell.v_slices[k].indices(cell.nv))
+        joints = cell.columns[k]
         lines = _draw(top, bottom, (times, position[:, joints]), (starts, speed[:, joints]))
         top.set_title(label(cell.arm_names[k], width=72 // (columns + 1)), fontsize=12, color=INK, fontweight="bold")
         _axes(top, bottom, end=float(recording.time[-1]), reach=reach, first=place % columns == 0)
@@ -80,19 +80,19 @@ def _tightest(cell: RobotCell, position: Array, speed: Array) -> list[int]:
     if len(cell) <= MOST_ARMS:
         return list(range(len(cell)))
     used = np.fmax(np.abs(position).max(axis=0), 0.01 * np.abs(speed).max(axis=0, initial=0.0))
-    closest = [float(np.nanmax(used[s], initial=0.0)) for s in cell.v_slices]
+    closest = [float(np.nanmax(used[s], initial=0.0)) for s in cell.columns]
     return sorted(sorted(range(len(cell)), key=lambda k: -closest[k])[:MOST_ARMS])
 
 
 def _coordinates(cell: RobotCell, arms: list[int]) -> list[int]:
-    return [j for k in arms for j in range(*cell.v_slices[k].indices(cell.nv))]
+    return [j for k in arms for j in cell.columns[k].tolist()]
 
 
 def _names(cell: RobotCell, arm: int) -> list[str]:
     """The names of an arm's joints; those without position limits are marked."""
-    joints = cell.v_slices[arm]
+    joints = cell.columns[arm]
     bounded = np.isfinite(cell.limits.lower[joints]) & np.isfinite(cell.limits.upper[joints])
-    names = [name.split("/", 1)[1] for name in cell.joint_names[joints]]
+    names = [cell.joint_names[j].split("/", 1)[1] for j in joints]
     return [label(name if has else f"{name} (no limit)") for name, has in zip(names, bounded, strict=True)]
 
 

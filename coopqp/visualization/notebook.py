@@ -20,6 +20,7 @@ import numpy as np
 from coopqp.control.interface import ControlStep, Status
 from coopqp.errors import printable
 from coopqp.model.cell import RobotCell
+from coopqp.paths.moving_grasps import grasp_at
 from coopqp.paths.scenario import Scenario
 from coopqp.simulation.evaluation.figures import worst_status
 from coopqp.simulation.recording.recording import Recording
@@ -88,7 +89,7 @@ def _step(step: ControlStep) -> str:
         f"σ = {100.0 * step.rate:.3g} %, clock {step.clock:.4g} → {step.clock_next:.4g} s<br>{_text(step.explain())}"
     )
     size, body = read_object({}, np.array([T.homogeneous for T in step.grasp.T_object_tool]))
-    carried = step.grasp.carried(step.state)[0] * body
+    carried = grasp_at(step.grasp, step.path, step.clock).carried(step.state)[0] * body
     box = box_solid((float(size[0]), float(size[1]), float(size[2])), carried, _OBJECT)
     return head + _picture(cell, step.q, [box]) + _table(("arm", "speed, of its limit", "joint"), rows)
 

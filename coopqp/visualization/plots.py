@@ -177,8 +177,8 @@ def motion_figure(
         )
     samples = np.round(np.linspace(0, recording.n_steps, frames)).astype(int)
     configurations = recording.q[samples]
-    X = recording.grasp.T_object_tool[0].inverse()
-    poses = [T[0] * X for T in metrics.tool_placements(cell, configurations)]
+    grasps = [recording.grasps_at(int(i))[0] for i in samples]
+    poses = [T[0] * X.inverse() for T, X in zip(metrics.tool_placements(cell, configurations), grasps, strict=True)]
     carried, corners = object_solids(recording.metadata, np.array(object_size), T_object_body, _PLATE)
     solids = cell_solids(cell, configurations)
     standing = body_solids(recording.metadata)

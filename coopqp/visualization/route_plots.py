@@ -23,7 +23,9 @@ from coopqp.visualization.style import INK, RED, new_figure, plain
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-_WIDTH, _PIXELS, _GHOSTS = 10.0, 760, 7
+_WIDTH, _PIXELS = 10.0, 760
+#: Places of the object along the way that are drawn.
+GHOSTS = 7
 _OBJECT, _GHOST, _BODY = (0.20, 0.42, 0.68), (0.78, 0.85, 0.93), (0.80, 0.72, 0.58)
 _WAY, _TREES = "#1f5fa8", ("#2e8b57", "#b06a00")
 
@@ -90,9 +92,9 @@ def _solids(scene: CollisionScene, check: PathCheck, route: Route) -> list[Solid
     assert route.poses is not None
     assert check.q_start is not None
     solids = cell_solids(check.cell, [check.q_start])[0]
-    solids += [solid for body in scene.obstacles for solid in _drawn(body, _BODY)]
-    own = [solid for body in scene.carried for solid in _drawn(body, _GHOST)]
-    marks = np.unique(np.linspace(0, len(route.poses) - 1, _GHOSTS).astype(int))
+    solids += [solid for body in scene.obstacles for solid in drawn_body(body, _BODY)]
+    own = [solid for body in scene.carried for solid in drawn_body(body, _GHOST)]
+    marks = np.unique(np.linspace(0, len(route.poses) - 1, GHOSTS).astype(int))
     for i, row in enumerate(route.poses[marks]):
         T = pin.SE3(row[:9].reshape(3, 3), row[9:])
         colour = _OBJECT if i in (0, len(marks) - 1) else _GHOST
@@ -100,7 +102,8 @@ def _solids(scene: CollisionScene, check: PathCheck, route: Route) -> list[Solid
     return solids
 
 
-def _drawn(body: Body, colour: tuple[float, float, float]) -> Sequence[Solid]:
+def drawn_body(body: Body, colour: tuple[float, float, float]) -> Sequence[Solid]:
+    """Solids of a body at its placement."""
     mesh = mesh_of(geometry_of(body.shape, body.name))
     return [] if mesh is None else [Solid(*mesh, colour, body.name).placed(pin.SE3(body.placement))]
 

@@ -72,7 +72,6 @@ class Stage:
         size, T_object_body = read_object(recording.metadata, recording.T_object_tool)
         blue = (_OBJECT[0] / 255, _OBJECT[1] / 255, _OBJECT[2] / 255)
         self._carried, self._corners_of_object = object_solids(recording.metadata, size, T_object_body, blue)
-        self._first_grasp = recording.grasp.T_object_tool[0].inverse()
         self._path = read_path(recording.metadata) or self._followed()
         self._bodies = body_solids(recording.metadata)
         self._standing: list[tuple[str, Any, Colour]] = []  # all bodies by name, to mark them
@@ -187,11 +186,13 @@ class Stage:
         self._object = self._scene.add_frame("/object", axes_length=0.16, axes_radius=0.006, origin_radius=0.012)
         for i, solid in enumerate(self._carried):
             self._add_solid(f"/object/body {i}" if i else "/object/body", solid)
-        for name, X in zip(self.cell.arm_names, self.recording.grasp.T_object_tool, strict=True):
+        self._grasps = [
             self._scene.add_frame(
                 f"/object/grasp {name}", axes_length=0.11, axes_radius=0.004, origin_radius=0.009,
                 wxyz=_wxyz(X), position=X.translation,
-            )  # fmt: skip
+            )
+            for name, X in zip(self.cell.arm_names, self.recording.grasp.T_object_tool, strict=True)
+        ]  # fmt: skip
 
     def _add_solid(self, place: str, solid: Solid) -> None:
         """Add a body that can be marked."""
@@ -237,10 +238,13 @@ class Stage:
         """Move the scene to a sample (0 to T) of the run, and mark the joints and arms with binding limits."""
         self._nearest.show(float(self.recording.time[sample]))
         self._forces.show(sample)
-        self.place(self.recording.q[sample], self._why.limits(sample))
+        grasps = None if self.recording.shift is None else self.recording.grasps_at(sample)
+        self.place(self.recording.q[sample], self._why.limits(sample), grasps)
 
-    def place(self, q: Array, limits: tuple[BindingLimit, ...]) -> pin.SE3:
+    def place(self, q: Array, limits: tuple[BindingLimit, ...], grasps: tuple[pin.SE3, ...] | None = None) -> pin.SE3:
         """Move the arms to ``q`` (nq,) and the object with them, and mark joints and arms with binding limits.
+
+        ``grasps`` are T_object_tool of all arms where tools have moved on the object; None: as at the start.
 
         Returns:
             T_world_object.
@@ -250,8 +254,12 @@ class Stage:
             _place(frame, self._data.oMi[joint])
         for handle, joints in self._sticks:
             handle.points = self._stick_points(joints)
-        pose: pin.SE3 = metrics.tool_placements(self.cell, [q])[0][0] * self._first_grasp
+        held = self.recording.grasp.T_object_tool if grasps is None else grasps
+        pose: pin.SE3 = metrics.tool_placements(self.cell, [q])[0][0] * held[0].inverse()
         _place(self._object, pose)
+        if grasps is not None:
+            for handle, X in zip(self._grasps, grasps, strict=True):
+                _place(handle, X)
         for label, place in zip(self._names, name_places(self.cell, q), strict=True):
             label.position = place
         if limits != self._shown:

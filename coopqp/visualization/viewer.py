@@ -128,6 +128,7 @@ def export_html(
     *,
     sticks: bool = False,
     progress: Callable[[int, int], None] | None = None,
+    mark: Callable[[Any], None] | None = None,
 ) -> Path:
     """Write a run as one offline page with play, pause, scrub and speed.
 
@@ -136,6 +137,7 @@ def export_html(
         file: path of the page.
         sticks: draw the arms as sticks instead of their shapes.
         progress: called as ``progress(pictures done, pictures)``.
+        mark: called with the scene of viser before the first picture, to add what stands.
 
     Raises:
         SceneError: the recording does not describe its cell, or a mesh file is missing.
@@ -144,14 +146,22 @@ def export_html(
     """
     page = Path(file)
     check_file(page)
-    write_files({page: run_page(recording, sticks=sticks, progress=progress).encode()})
+    write_files({page: run_page(recording, sticks=sticks, progress=progress, mark=mark).encode()})
     return page
 
 
-def run_page(recording: Recording, *, sticks: bool = False, progress: Callable[[int, int], None] | None = None) -> str:
+def run_page(
+    recording: Recording,
+    *,
+    sticks: bool = False,
+    progress: Callable[[int, int], None] | None = None,
+    mark: Callable[[Any], None] | None = None,
+) -> str:
     """The page of :func:`export_html` as one HTML document that loads nothing else. Same arguments and errors."""
     with offline() as server:
         stage = Stage(server.scene, recording, sticks=sticks)
+        if mark is not None:
+            mark(server.scene)
         frame_camera(server, stage)
         panel = RunPanel(stage.cell, recording, stage.readings)
         duration = float(recording.time[-1])

@@ -50,4 +50,4 @@ if "--out" in sys.argv:
     axes.axvspan(0.75, 2.25, color="0.92")
     axes.set(xlabel="time [s]", ylabel="object's clock [s]")
     axes.legend()
-    figure.savefig(Path(sys.argv[sys.argv.index("--out") + 1]) / "drive.png", dpi=80)
+    figure.savefig(Path(sys.argv[sys.argv.index("--out") + 1]) / "drive.png", dpi=130)

@@ -5,12 +5,14 @@ from __future__ import annotations
 import signal
 import subprocess
 import sys
+from functools import partial
 
 import pytest
 from places import CELL_FILES
 
 from coopqp import Recording
 from coopqp.cli.main import main
+from coopqp.drivers import LoopOptions
 
 pytestmark = [pytest.mark.slow, pytest.mark.filterwarnings("ignore::coopqp.errors.StiffnessWarning")]
 TWO = CELL_FILES / "two_robots.toml"
@@ -51,7 +53,9 @@ def test_a_dry_run_says_what_would_be_refused(quick, capsys, monkeypatch):
     assert main(["drive", str(quick), "--enable", "two_robots"]) == 3
 
 
-def test_an_enabled_run_finishes_and_is_recorded(quick, capsys, tmp_path):
+def test_an_enabled_run_finishes_and_is_recorded(quick, capsys, tmp_path, monkeypatch):
+    # The machine of the tests may stall for longer than a robot may.
+    monkeypatch.setattr("coopqp.drivers.options.LoopOptions", partial(LoopOptions, gone_after=10.0))
     file = tmp_path / "run.npz"
     given = ["drive", str(quick), "--enable", "two_robots", "--speed", "1", "--record", str(file)]
     assert main(given) == 0
@@ -71,6 +75,7 @@ def test_bad_input_is_refused_before_anything_is_started(quick, capsys, tmp_path
         (["--speed", "1.5"], "--speed"),
         (["--record", "x.npz"], "without --enable"),
         (["--enable", "two_robots", "--record", "x.mcap"], ".npz"),
+        (["--enable", "two_robots", "--record", str(quick.parent)], "exists"),
     ):
         assert main(["drive", str(quick), *given]) == 2, given
         assert words in capsys.readouterr().err

@@ -23,7 +23,7 @@ _MAIN = "import sys; from coopqp.cli.main import main; sys.exit(main())"
 
 
 @pytest.mark.slow
-def test_it_serves_until_an_interrupt(tmp_path: Path) -> None:
+def test_it_serves_until_an_interrupt(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     file = tmp_path / "led.npz"
     command = [sys.executable, "-c", _MAIN, "jog", "paper_lift", "--port", "0", "--record", str(file)]
     with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as run:
@@ -38,6 +38,8 @@ def test_it_serves_until_an_interrupt(tmp_path: Path) -> None:
     recording = Recording.load(file)
     assert recording.metadata["scenario"] == "paper_lift"
     assert set(recording.status) == {5}  # PAUSED
+    assert main(["run", "paper_lift", "--replay", str(file), "--out", str(tmp_path / "again")]) == 4  # it rests
+    assert "the run is the recorded one bit for bit" in capsys.readouterr().out
 
 
 def test_what_does_not_fit_is_named_first(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -62,6 +62,14 @@ def test_a_way_is_written_that_a_check_proves_and_a_run_follows(
 
 
 @pytest.mark.slow
+def test_a_page_plays_the_way(tmp_path: Path) -> None:
+    pytest.importorskip("viser")
+    page = tmp_path / "way.html"
+    assert cli.main(["route", str(EXAMPLE), "--quiet", "--html", str(page)]) == 0
+    assert "A way round of 0." in page.read_text(encoding="utf-8")
+
+
+@pytest.mark.slow
 def test_a_file_that_leaves_its_path_to_a_search_has_the_same_path_again(tmp_path: Path) -> None:
     file = cell_file(tmp_path, (SEARCH, f"{SEARCH}\nnodes = 500\nspeed_m_per_s = 0.1"))
     paths = [load_cell_file(file).scenario.path for _ in range(2)]

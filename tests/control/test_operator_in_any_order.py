@@ -100,6 +100,39 @@ class AnyCall(RuleBasedStateMachine):
     def run_to(self, share: float) -> None:
         self.controller.run_to(share * self.controller.path.duration)
 
+    def _rests_at(self, clock: float) -> bool:
+        """Go on until the object rests at a clock; False where it does not get there."""
+        for _ in range(2500):
+            step = self.controller.step()
+            self._take(step)
+            if step.status in (Status.HOLDING, Status.FAULT):
+                return False
+            if step.status is Status.PAUSED and abs(step.clock_next - clock) < 1e-9:
+                return True
+        return False
+
+    @rule(there=shares, back=shares, forgets=st.booleans())
+    def back_and_on_again_is_where_it_was(self, there: float, back: float, forgets: bool) -> None:
+        """A section of the program, then its way back, then the section: the same pose, and the same configuration."""
+        controller = self.controller
+        controller.set_override(1.0)
+        clock = there * controller.path.duration
+        controller.run_to(clock)
+        if not self._rests_at(clock):
+            return
+        here, pose = controller.commanded.copy(), controller.grasp.carried(controller.step().state)[0]
+        controller.reverse(back * clock)
+        if not self._rests_at(back * clock):
+            return
+        if forgets:  # a copy in the middle
+            controller = self.controller = copy.deepcopy(controller)
+        controller.run_to(clock)
+        if self._rests_at(clock):
+            again = controller.grasp.carried(controller.step().state)[0]
+            assert np.abs((pose.inverse() * again).homogeneous - np.eye(4)).max() < 1e-5
+            if controller.cell.nv == 6 * len(controller.cell):  # else the posture task leads the elbows on
+                assert np.abs(controller.commanded - here).max() < 1e-4
+
     @rule(way=small)
     def shift_path(self, way: Any) -> None:
         if self.controller.program_clock < self.controller.path.duration - 0.05:

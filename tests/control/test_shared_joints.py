@@ -11,13 +11,24 @@ import pytest
 from marks import slow_but_first
 from torsos import held, lift_cell, robot_of
 
-from coopqp import Grasp, HoldPath, LinePath, QPController, QPOptions, RobotCell, Status, check_path, simulate
+from coopqp import (
+    Grasp,
+    HoldPath,
+    LinePath,
+    QPController,
+    QPOptions,
+    RobotCell,
+    ServoPath,
+    Status,
+    SupervisionOptions,
+    check_path,
+    simulate,
+)  # fmt: skip
 from coopqp.control import RankWeights
 from coopqp.control.step.braking_rows import BrakingRows
 from coopqp.control.step.formulations import StepProgram, StepTerms
 from coopqp.errors import InvalidInputError
 from coopqp.model import CellState, Chain
-from coopqp.paths.servo import ServoPath
 from coopqp.solvers import make_solver
 from coopqp.spatial import Array
 
@@ -153,7 +164,6 @@ def test_paths_not_known_ahead_and_operators_calls() -> None:
 
 def test_what_does_not_know_shared_joints_refuses_them() -> None:
     from coopqp.baselines import IndependentQPController, PseudoInverseController
-    from coopqp.control.monitoring.options import SupervisionOptions
 
     cell, grasp = lift_cell()
     path = rise(0.8, 0.9, 1.0)

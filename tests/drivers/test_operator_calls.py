@@ -35,15 +35,14 @@ def _kept(run, apart=2e-5):
     assert run.apart.max() < apart
 
 
-@pytest.mark.parametrize(("lags", "apart"), [(NONE, 2e-5), (LAGS, BRAKED)])
-def test_back_along_the_path_and_on_again(cell, lift, lags, apart):
+def test_back_along_the_path_and_on_again(cell, lift):
     futures = []
-    run = drive(cell, lift, lags, events=[
+    run = drive(cell, lift, LAGS, events=[
         (0.9, lambda arms, loop: futures.append(loop.reverse(0.2))),
         (3.0, lambda arms, loop: futures.append(loop.run_to(0.6))),
         (5.0, lambda arms, loop: futures.append(loop.forward())),
     ])  # fmt: skip
-    _kept(run, apart)
+    _kept(run, BRAKED)
     assert [future.result(0) for future in futures] == [None] * 3
     at = {time: run.q[np.searchsorted(run.time, time)] for time in (0.9, 2.9, 4.9)}
     once = drive(cell, lift, NONE)
@@ -53,11 +52,10 @@ def test_back_along_the_path_and_on_again(cell, lift, lags, apart):
     assert "paused" in run.statuses
 
 
-@pytest.mark.parametrize(("lags", "apart"), [(NONE, 2e-5), (LAGS, BRAKED)])
-def test_by_hand_away_from_the_path_and_back(cell, lift, lags, apart):
+def test_by_hand_away_from_the_path_and_back(cell, lift):
     jogs = [(0.5 + 0.05 * i, lambda arms, loop: loop.jog([0.0, 0.05, 0.0, 0.0, 0.0, 0.0])) for i in range(20)]
-    run = drive(cell, lift, lags, events=[*jogs, (2.5, lambda arms, loop: loop.return_to_path())])
-    _kept(run, apart)
+    run = drive(cell, lift, NONE, events=[*jogs, (2.5, lambda arms, loop: loop.return_to_path())])
+    _kept(run)
     assert "jogging" in run.statuses
     end = drive(cell, lift, LAGS).q[-1]
     np.testing.assert_allclose(run.q[-1], end, atol=2e-3)

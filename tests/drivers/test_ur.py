@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import signal
+import subprocess
 import sys
 from functools import partial
 
@@ -176,6 +177,42 @@ def test_a_robot_that_is_killed_ends_the_run(two_urs, robots):
             driver.close()
     assert not report.finished
     assert "robot 'left' told no state" in report.reason
+
+
+_LOOP = """
+import sys
+import numpy as np
+from coopqp.drivers import Command, UrDriver
+driver = UrDriver("abcdef", {"address": sys.argv[1]})
+driver.connect()
+number, state = 0, None
+while True:
+    new = driver.read()
+    if new is not None:
+        number, state = number + 1, new
+        driver.send(Command(np.full(6, 0.1 + 1e-4 * number), np.zeros(6), state.stamp + 0.004))
+        if number == 50:
+            print("moves", flush=True)
+"""
+
+
+def test_a_loop_that_is_killed_leaves_no_robot_moving(two_urs):
+    """By kill −9: the robot's own process sees it, stops the robot and ends its program."""
+    stub = UrStub(two_urs[1][0], [0.1] * 6)
+    loop = subprocess.Popen([sys.executable, "-c", _LOOP, stub.address], stdout=subprocess.PIPE, text=True)
+    try:
+        assert loop.stdout.readline() == "moves\n"
+        assert stub.runs()
+        loop.kill()
+        while stub.runs():
+            pass
+        before = stub.servoed()
+        assert before >= 40
+        assert stub.servoed() == before
+    finally:
+        loop.kill()
+        loop.communicate()
+        stub.close()
 
 
 def test_nobody_at_the_address(two_urs):

@@ -768,3 +768,84 @@ def test_a_start_that_the_run_refuses_is_told_in_the_words_of_the_file(tmp_path:
         CellFileError, match=r"cell\.toml: start: .*ball overlap.*collision\.margins.*collision\.inside"
     ):
         load_cell_file(file).run()
+
+
+ROBOT = """
+name = "lift"
+[[robots]]
+name = "tower"
+robot = "lift2"
+locked_joints_deg = {}
+limits."*" = { acceleration_deg_per_s2 = 300 }
+limits.lift = { acceleration_rad_per_s2 = 0.5, velocity_rad_per_s = 0.08 }
+[[arms]]
+name = "left"
+of = "tower"
+tool_frame = "left_tool"
+[[arms]]
+name = "right"
+of = "tower"
+tool_frame = "right_tool"
+[grasp]
+kind = "tools"
+tools.left = { xyz_m = [0.0, 0.30, 0.0], rpy_deg = [90, 0, 0] }
+tools.right = { xyz_m = [0.0, -0.30, 0.0], rpy_deg = [-90, 0, 0] }
+[path]
+kind = "line"
+start = { xyz_m = [0.55, 0.0, 0.80] }
+displacement = { translation_m = [0.0, 0.0, 0.05] }
+duration_s = 0.5
+"""
+
+
+def test_a_robot_with_two_arms(tmp_path: Path) -> None:
+    """Limits by joint, and a start whose shared joints go by the robot's name."""
+    file = tmp_path / "cell.toml"
+    file.write_text(ROBOT)
+    run = load_cell_file(file)
+    cell = run.scenario.cell
+    assert cell.joint_names[:2] == ("tower/lift", "left/left_joint_1")
+    assert cell.limits.velocity[0] == 0.08
+    np.testing.assert_allclose(cell.limits.acceleration, [0.5, *[np.deg2rad(300.0)] * 12])
+    x = np.rad2deg(cell.positions(run.scenario.q_start))
+    given = {name: x[own].tolist() for name, own in cell.blocks.items()}
+    given["tower"] = [0.15]
+    rows = "".join(f"positions_deg.{name} = {values}\n" for name, values in given.items())
+    file.write_text(f"{ROBOT}[start]\ninverse_kinematics = false\n{rows}")
+    assert load_cell_file(file).scenario.cell.positions(load_cell_file(file).scenario.q_start)[0] == 0.15
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        (
+            'of = "tower"\ntool_frame = "left_tool"',
+            'of = "tow"\ntool_frame = "left_tool"',
+            "is of 'tow', and there is no",
+        ),
+        ('of = "tower"\ntool_frame = "left_tool"', 'of = "tower"', "tool_frame is missing"),
+        (
+            'of = "tower"\ntool_frame = "left_tool"',
+            'of = "tower"\ntool_frame = "left_tool"\nbase = {}',
+            "base is the robot's",
+        ),
+        ("limits.lift", "limits.lifts", "the model has no joint 'lifts'"),
+        (
+            'of = "tower"\n',
+            'of = "tower"\nstiffness_nm_per_rad = 1e4\n',
+            "share 'lift', and joints that arms share are not known",
+        ),
+        (
+            'robot = "lift2"',
+            'robot = "lift2"\nurdf = "a.urdf"',
+            "robots[0]: give one of robot, urdf, not robot and urdf",
+        ),
+    ],
+)
+def test_wrong_robots_are_named(old: str, new: str, message: str, tmp_path: Path) -> None:
+    file = tmp_path / "cell.toml"
+    assert old in ROBOT
+    file.write_text(ROBOT.replace(old, new))
+    with pytest.raises(CellFileError) as caught:
+        load_cell_file(file)
+    assert message in str(caught.value)

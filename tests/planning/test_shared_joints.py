@@ -29,6 +29,7 @@ from coopqp.planning.branch_checks import PathVerdict, follows
 from coopqp.planning.check import PathCheck
 from coopqp.planning.remedies import with_remedies
 from coopqp.planning.shared_way import _Search
+from coopqp.planning.timing import time_path
 
 WAIST = (("revolute", "0 0 1"),)
 
@@ -118,11 +119,24 @@ def test_what_is_not_proved_is_not_said_to_be_impossible() -> None:
     np.testing.assert_array_equal(bases[0], bases[1])
 
 
-def test_plans_refuse_shared_joints() -> None:
+def test_a_plan_counts_the_limits_of_the_lift() -> None:
+    """It is followed at every step, and a slow lift makes it slower."""
     pytest.importorskip("toppra")
-    cell, grasp = lift_cell()
+    durations = []
+    for speed in (0.1, 0.04):
+        cell, grasp = lift_cell(velocity_limits={"lift": speed})
+        made = plan(cell, grasp, rise(0.2, 1.7))
+        durations.append(made.path.duration)
+        run = simulate(QPController(cell, grasp, made.path, dt=0.01), q_start=made.q_start, duration=20.0)
+        assert run.finished
+        assert run.time[-1] <= made.path.duration + 0.011
+        errors = [np.abs(grasp.relative_errors(CellState(cell, q))[:, :3]).max() for q in run.q_command]
+        assert max(errors) < 1e-6
+    assert durations[1] > 0.2 / 0.04 > durations[0] > 0.2 / 0.1
     with pytest.raises(InvalidInputError, match=r"share 'lift'.*Lock them"):
-        plan(cell, grasp, rise(0.8, 1.0))
+        plan(cell, grasp, rise(0.8, 1.0), starts=3)
+    with pytest.raises(InvalidInputError, match=r"time_path: .*share 'lift'|share 'lift'"):
+        time_path(cell, grasp, rise(0.8, 1.0), q_start=made.q_start)
 
 
 def test_links_of_the_lift_keep_their_distance_once() -> None:

@@ -144,15 +144,15 @@ def test_two_arms_open_a_part_while_a_third_lifts_it(kernel: str) -> None:
     steps = []
     for i in range(3000):
         if i % 97 == 50:
-            controller.set_override(float(rng.uniform(0.2, 1.0)))
+            controller.set_override(float(rng.uniform(0.5, 1.0)))
         if i == 200:
             controller.pause()
         if i == 260:
             controller.resume()
-        if i == 500:
-            controller.reverse(0.4)
+        if i == 420:
+            controller.reverse(0.8)
         step = controller.step()
-        if step.status.name == "PAUSED" and i > 560:
+        if step.status.name == "PAUSED" and i > 480:
             controller.forward()
         steps.append(step)
         away = max(away, apart(task, program, step.q_next, step.clock_next))
@@ -212,6 +212,9 @@ def test_a_run_on_which_tools_move_is_recorded_and_judged() -> None:
     assert np.abs(recording.shift[299, 1]).max() > 0.08  # opened by 5°
     assert read_run(task.cell, recording).chain_mm.max() < 1e-3
     assert check_run(recording, task.cell).ok
+    placed = program.grasp_at(task.grasp, 3.0).T_object_tool
+    for X, Y in zip(recording.grasps_at(300), placed, strict=True):
+        assert np.allclose(X.homogeneous, Y.homogeneous, atol=1e-9)
 
 
 def test_a_tool_that_works_on_a_carried_part_stays_on_it() -> None:
@@ -231,6 +234,7 @@ def test_a_tool_that_works_on_a_carried_part_stays_on_it() -> None:
         tool = data.oMf[task.cell.tool_frames[2]]
         wanted = program.pose(step.clock_next) * seam.pose(step.clock_next)
         away = max(away, float(np.linalg.norm(tool.translation - wanted.translation)))
+        assert step.relative_errors.max() < 1e-3
         if step.finished:
             break
     assert step.finished

@@ -1,4 +1,4 @@
-"""The measured tables of the README and of the reliability page come from records, and only from there."""
+"""The measured tables of docs/measured.md and of the reliability page come from records, and only from there."""
 
 from __future__ import annotations
 
@@ -31,25 +31,25 @@ PROMISES = [
 
 
 def test_tables_are_the_worst_of_their_records(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    shutil.copyfile(ROOT / "README.md", tmp_path / "README.md")
-    before = (tmp_path / "README.md").read_text(encoding="utf-8")
     (tmp_path / "docs").mkdir()
+    shutil.copyfile(ROOT / "docs/measured.md", tmp_path / "docs/measured.md")
+    before = (tmp_path / "docs/measured.md").read_text(encoding="utf-8")
     shutil.copyfile(ROOT / "docs/reliability.md", tmp_path / "docs/reliability.md")
     assert main([str(tmp_path), "--into", str(tmp_path)]) == 0  # no records: nothing changes
-    assert (tmp_path / "README.md").read_text(encoding="utf-8") == before
+    assert (tmp_path / "docs/measured.md").read_text(encoding="utf-8") == before
     (tmp_path / "behaviour.json").write_text(json.dumps(BEHAVIOUR), encoding="utf-8")
     (tmp_path / "compare_peers.json").write_text(json.dumps(PEERS), encoding="utf-8")
     (tmp_path / "promises.json").write_text(json.dumps(PROMISES), encoding="utf-8")
     assert main([str(tmp_path), "--into", str(tmp_path)]) == 0
     assert capsys.readouterr().out.count("written") == len(TABLES)
-    text = (tmp_path / "README.md").read_text(encoding="utf-8")
+    text = (tmp_path / "docs/measured.md").read_text(encoding="utf-8")
     assert "| object at 0.6 m/s, joints limited to 1 rad/s; also to 5 rad/s² | 345 | 2e-4 | 0.5 |" in text
     assert "error at the end | 34 | 2e-5 | |" in text
     assert "| 16 | 24 | 40 | 75 | 0.32 |" in text
     page = (tmp_path / "docs/reliability.md").read_text(encoding="utf-8")
     assert "| 5 | 0.06 | 20 |\n| 20 | 0.24 | 20 |\n<!--" in page
     assert main([str(tmp_path), "--into", str(tmp_path)]) == 0  # once more: the same
-    assert (tmp_path / "README.md").read_text(encoding="utf-8") == text
+    assert (tmp_path / "docs/measured.md").read_text(encoding="utf-8") == text
 
 
 def test_a_table_without_its_marks_is_an_error() -> None:

@@ -29,6 +29,11 @@ class UrStub:
         self.order("count")
         return int(self.process.stdout.readline())
 
+    def runs(self) -> bool:
+        """Whether its program runs."""
+        self.order("runs")
+        return self.process.stdout.readline() == "True\n"
+
     def close(self) -> None:
         """End it."""
         self.process.kill()

@@ -1,7 +1,8 @@
 """A robot that speaks RTDE, the dashboard's and the script port's language, as far as ur_rtde asks for it.
 
 Run as ``python ur_stub.py ADDRESS Q`` with Q a JSON list. It prints ``ready`` when its ports are open. Orders come as
-lines on its standard input: ``slider 0.5``, ``protective``, ``release``, ``estop``, and ``count`` (of servoJ).
+lines on its standard input: ``slider 0.5``, ``protective``, ``release``, ``estop``, and ``count`` (of servoJ),
+``runs`` (its program).
 """
 
 from __future__ import annotations
@@ -97,6 +98,8 @@ class Robot:
             self.servo.halt()
         elif word == "count":
             print(self.servoed, flush=True)
+        elif word == "runs":
+            print(self.runs, flush=True)
 
     def value(self, name: str) -> tuple:
         """A variable's value."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import abc
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from coopqp.checks import ArrayLike, as_scalar, as_vector
 from coopqp.control.operator.changes import Change, Jog, Return, Shift, Travel
@@ -11,9 +11,6 @@ from coopqp.errors import InvalidInputError, UnknownNameError
 from coopqp.paths.guarded import GuardedPath
 from coopqp.paths.servo import ServoPath
 from coopqp.spatial import Placement, as_placement
-
-if TYPE_CHECKING:
-    from coopqp.control.qp import QPController
 
 #: Time that a jog command holds [s].
 DEADMAN = 0.1
@@ -30,8 +27,8 @@ class OperatorCalls(abc.ABC):
 
     @property
     @abc.abstractmethod
-    def _commanded(self) -> QPController:
-        """The controller that makes the changes."""
+    def _commanded(self) -> Any:
+        """The QPController that makes the changes; controllers stand above their calls."""
 
     def _asked(self, name: str, value: Any, change: Change) -> None:
         self._commanded.operate(name, value, lambda operator: operator.ask(change), started=True)

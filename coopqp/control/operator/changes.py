@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import abc
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, final
+from typing import Any, final
 
 import numpy as np
 import pinocchio as pin
@@ -18,9 +18,6 @@ from coopqp.paths.servo import ServoPath
 from coopqp.paths.shifted import ShiftedPath, clock_after
 from coopqp.spatial import Array
 
-if TYPE_CHECKING:
-    from coopqp.control.operator.operator import Operator
-
 #: A jog command leads so far ahead [s]; it is renewed or ends long before.
 JOG_AHEAD = 0.5
 #: Speed and spin on the way back to the path [m/s, rad/s].
@@ -30,7 +27,10 @@ TARGET_SPEED, TARGET_SPIN = 0.4, 1.0
 
 
 class Change(abc.ABC):
-    """A change of the motion. :meth:`attempt` is called in each step until it says that it is made."""
+    """A change of the motion. :meth:`attempt` is called in each step until it says that it is made.
+
+    It is given the controller's :class:`~coopqp.control.operator.operator.Operator`, which stands above its changes.
+    """
 
     #: What the object waits for, as the end of a sentence.
     waits = ""
@@ -40,7 +40,7 @@ class Change(abc.ABC):
     holds_for = np.inf
 
     @abc.abstractmethod
-    def attempt(self, operator: Operator) -> bool:
+    def attempt(self, operator: Any) -> bool:
         """Make the change if it is admissible now."""
 
 
@@ -52,7 +52,7 @@ class Target(Change):
     goal: pin.SE3
     waits = "the object brakes before it goes over to its new target"
 
-    def attempt(self, operator: Operator) -> bool:
+    def attempt(self, operator: Any) -> bool:
         """See :class:`Change`."""
         path = operator.way.path
         assert isinstance(path, ServoPath)
@@ -67,7 +67,7 @@ class Travel(Change):
     to: float | None
     waits = "the object brakes before it goes the other way"
 
-    def attempt(self, operator: Operator) -> bool:
+    def attempt(self, operator: Any) -> bool:
         """See :class:`Change`."""
         way, clock, rests = operator.way, operator.clock, operator.rests
         program = way.program
@@ -100,7 +100,7 @@ class Shift(Change):
     over: float
     waits = "the object brakes before its path is shifted"
 
-    def attempt(self, operator: Operator) -> bool:
+    def attempt(self, operator: Any) -> bool:
         """See :class:`Change`."""
         way, clock = operator.way, operator.clock
         program = way.program
@@ -135,7 +135,7 @@ class Jog(Change):
     waits = "the object comes to rest before the operator leads it"
     by_hand = True
 
-    def attempt(self, operator: Operator) -> bool:
+    def attempt(self, operator: Any) -> bool:
         """See :class:`Change`."""
         if not operator.lead():
             return False
@@ -163,7 +163,7 @@ class Follow(Change):
     waits = "the object comes to rest before the operator leads it"
     by_hand = True
 
-    def attempt(self, operator: Operator) -> bool:
+    def attempt(self, operator: Any) -> bool:
         """See :class:`Change`."""
         if not operator.lead():
             return False
@@ -184,7 +184,7 @@ class Return(Change):
     waits = "the object brakes before it goes back to its path"
     by_hand = True
 
-    def attempt(self, operator: Operator) -> bool:
+    def attempt(self, operator: Any) -> bool:
         """See :class:`Change`."""
         way = operator.way
         if way.sense != 0:

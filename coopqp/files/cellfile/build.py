@@ -62,7 +62,7 @@ from coopqp.planning.starts import find_start
 from coopqp.planning.tools_on_object import tools_move
 from coopqp.simulation.evaluation.assessment import Tolerances
 from coopqp.simulation.evaluation.closeness import default_scene, with_clearance
-from coopqp.simulation.events import Operate
+from coopqp.simulation.events import Operate, begin_as
 from coopqp.simulation.plants.disturbances import Disturbances
 from coopqp.simulation.plants.kinematic import DisturbedPlant, KinematicPlant, Plant
 from coopqp.simulation.plants.physics import PhysicsPlant
@@ -258,16 +258,28 @@ class CellRun:
             "settings": self.settings.model_dump(mode="json", exclude_none=True, exclude_unset=True),
         }
 
-    def run(self, *, progress: ProgressCallback | None = None, operate: Operate | None = None) -> Recording:
-        """Run the controller on the plant; ``operate`` as in :func:`coopqp.simulate`.
+    def run(
+        self,
+        *,
+        progress: ProgressCallback | None = None,
+        operate: Operate | None = None,
+        begun: dict[str, Any] | None = None,
+    ) -> Recording:
+        """Run the controller on the plant.
+
+        Args:
+            progress, operate: as in :func:`coopqp.simulate`.
+            begun: override and pause at the start, as of :func:`coopqp.simulation.events.begin_as`.
 
         Raises:
             CellFileError: the controller refuses the start.
         """
         s = self.scenario
         try:
+            controller = self.led().controller()
+            begin_as(controller, begun)
             recording = simulate(
-                self.led().controller(),
+                controller,
                 self.plant(),
                 q_start=s.q_start,
                 duration=self.longest,

@@ -141,6 +141,7 @@ def build_stiffness(tables: Sequence[ArmTable], cell: RobotCell) -> Array | None
     silent = [table.name for table in tables if table.stiffness_nm_per_rad is None]
     if len(silent) == len(tables):
         return None
+    cell.refuse_shared("stiffness_nm_per_rad")
     if silent:
         raise CoopqpError(
             f"arm '{silent[0]}': stiffness_nm_per_rad is missing. Forces are read from the servos of all arms or of "

@@ -16,6 +16,7 @@ from coopqp.files.cellfile.search_tables import GoalTable, SearchTable
 from coopqp.model.cell import RobotCell
 from coopqp.model.grasp import Grasp
 from coopqp.model.inverse_kinematics import inverse_kinematics
+from coopqp.paths.elbows import Elbows
 from coopqp.paths.path import ObjectPath
 from coopqp.paths.timed import SpeedProfile, TimedPath
 from coopqp.planning.route.finding import find_path
@@ -65,9 +66,12 @@ class SearchTask:
         """
         if route.path is None:
             raise (UnreachableError if route.verdict is RouteVerdict.INFEASIBLE else UndecidedError)(route.reason)
-        profile = route.path.profile
-        geometry = route.path.geometry()
-        return TimedPath(geometry, SpeedProfile(profile.s, self.speed**2 * profile.squares / profile.squares.max()))
+        profile, elbows = route.path.profile, route.path.elbows
+        share = self.speed / float(np.sqrt(profile.squares.max()))
+        if elbows is not None:
+            elbows = Elbows(elbows.clocks / share, elbows.x, share * elbows.slopes)
+        timed = SpeedProfile(profile.s, share**2 * profile.squares)
+        return TimedPath(route.path.geometry(), timed, keeps_clear=route.path.keeps_clear, elbows=elbows)
 
 
 def search_task(

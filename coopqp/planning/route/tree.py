@@ -16,7 +16,7 @@ from coopqp.spatial import Array
 #: Motion of the object between poses of an edge, and between nodes [m]; 1 rad counts as 0.3 m.
 STEP, NODE_STEPS = 0.02, 5
 #: By so much more than its length an edge may be longer, by rounding.
-_ROUNDING = 1e-9
+_ENLARGED = 1e-9
 
 
 class Pose(NamedTuple):
@@ -92,7 +92,7 @@ def straight(edges: Edges, start: Node, goal: Pose) -> Edge:
     steps = max(math.ceil(length_of(way, turn) / STEP), 1)
     rows = edges.line(start.pose.row(), goal.row(), steps)
     motion = np.empty((steps, 2))
-    motion[:] = (1.0 + _ROUNDING) * size_of(way) / steps, (1.0 + _ROUNDING) * size_of(turn) / steps
+    motion[:] = (1.0 + _ENLARGED) * size_of(way) / steps, (1.0 + _ENLARGED) * size_of(turn) / steps
     found = edges.walk(rows, motion, start.x, start.rooms)
     last = len(found.positions) - 1
     marks = list(range(NODE_STEPS, last, NODE_STEPS)) + ([last] if last else [])

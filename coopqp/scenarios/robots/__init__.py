@@ -13,7 +13,7 @@ __all__ = ["ROBOT_NAMES", "SEVERAL_ARMS", "robot_path"]
 
 #: Robots with several arms, and their tool frames by the name of the arm; for :class:`coopqp.Robot`.
 SEVERAL_ARMS: Final[Mapping[str, Mapping[str, str]]] = MappingProxyType(
-    {"lift2": MappingProxyType({"left": "left_tool", "right": "right_tool"})}
+    {name: MappingProxyType({"left": "left_tool", "right": "right_tool"}) for name in ("lift2", "rail2")}
 )
 #: The robots with one arm, by the stem of their file: `rx90l` is the Stäubli RX-90L, `kr16_2` the KUKA KR 16-2,
 #: `irb1600` the ABB IRB 1600-6/1.2; the others are made up.

@@ -59,6 +59,10 @@ def calibrate_runs(
 
 
 def _check_gripped(run: Recording, gripped: bool | None, i: int) -> None:
+    if run.metadata.get("phases"):
+        raise CalibrationError(
+            f"recording {i} is of a program, whose arms let go or move on the object. Record a run with fixed grasps."
+        )
     entry = run.metadata.get("gripped")
     if entry is False:
         raise CalibrationError(

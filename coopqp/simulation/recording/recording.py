@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pinocchio as pin
 
 from coopqp.control.interface import Status
 from coopqp.errors import CoopqpError, OutputError, printable
@@ -149,6 +150,13 @@ class Recording(Shown):
         if self.shift is None or not self.n_steps:
             return None
         return self.shift[np.maximum(np.arange(samples.start, samples.stop) - 1, 0)]
+
+    def grasps_at(self, sample: int) -> tuple[pin.SE3, ...]:
+        """T_object_tool of each arm at a sample: as at the start, or where the tools have moved to on the object."""
+        moved = self.shift_at(slice(sample, sample + 1))
+        if moved is None:
+            return self.grasp.T_object_tool
+        return tuple(pin.exp6(d) * X for d, X in zip(moved[0], self.grasp.T_object_tool, strict=True))
 
     def _arrays(self) -> dict[str, Array]:
         """The arrays of this run, by name."""

@@ -44,6 +44,7 @@ class PageLink:
     Attributes:
         url: address for the browser.
         delays: from when the page's process had a call until the controller had it [s].
+        shown: how often the cell was drawn.
 
     Raises:
         MissingExtraError: viser is not installed.
@@ -54,6 +55,7 @@ class PageLink:
         require_viser()
         self._run = run
         self.delays: deque[float] = deque(maxlen=_KEPT)
+        self.shown = 0
         self._began, self._due = time.monotonic(), -math.inf
         self._late: tuple[float, float] | None = None
         self._late_due = -math.inf
@@ -135,6 +137,9 @@ class PageLink:
                 self._run.call("pause")
 
     def _take(self, sent: float, name: str, values: tuple[Any, ...], named: dict[str, Any]) -> None:
+        if name == "shown":
+            self.shown += 1
+            return
         if name == "beat":
             self._heard, self._silent = time.monotonic(), False
             return
@@ -169,4 +174,5 @@ def serve_page(link: Connection, recording: Recording, port: int, sticks: bool, 
             while link.poll():
                 seen = link.recv()
             page.show(seen)
+            tell("shown")
     page.close()

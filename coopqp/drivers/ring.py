@@ -1,0 +1,87 @@
+"""Rows of numbers in shared memory: one process writes them and waits for nobody, others read them and count losses."""
+
+from __future__ import annotations
+
+import tempfile
+from pathlib import Path
+from typing import final
+
+import numpy as np
+
+from coopqp.checks import as_count
+from coopqp.spatial import Array
+
+#: Numbers before the rows: rows written so far, and whether more will come.
+_HEAD = 2
+
+
+@final
+class RowRing:
+    """A ring of rows in shared memory. Its maker writes; who attaches to its name reads.
+
+    Args:
+        width: numbers in a row.
+        slots: rows that are kept.
+        name: of a ring that another process has made; None to make one.
+
+    Attributes:
+        name: by which another process attaches to it.
+        lost: rows that were written over before they were read.
+    """
+
+    def __init__(self, width: int, slots: int, *, name: str | None = None) -> None:
+        self.width, self.slots = as_count(width, "RowRing: width"), as_count(slots, "RowRing: slots")
+        self._made = name is None
+        if name is None:
+            with tempfile.NamedTemporaryFile(prefix="coopqp_ring_", dir=_folder(), delete=False) as file:
+                file.truncate(8 * (_HEAD + self.width * self.slots))
+                name = file.name
+        self.name = name
+        self._head = np.memmap(name, np.int64, "r+", shape=(_HEAD,))
+        self._rows = np.memmap(name, float, "r+", offset=8 * _HEAD, shape=(self.slots, self.width))
+        self._next = 0
+        self.lost = 0
+
+    @property
+    def written(self) -> int:
+        """Rows written so far."""
+        return int(self._head[0])
+
+    @property
+    def ended(self) -> bool:
+        """Whether no more rows will come."""
+        return bool(self._head[1])
+
+    def row(self) -> Array:
+        """The row that comes next (width,), to be filled in before :meth:`push`."""
+        return self._rows[int(self._head[0]) % self.slots]
+
+    def push(self) -> None:
+        """The row of :meth:`row` is complete."""
+        self._head[0] += 1
+
+    def end(self) -> None:
+        """No more rows will come."""
+        self._head[1] = 1
+
+    def read(self) -> Array:
+        """The rows since the last call (m, width); those that were written over meanwhile are counted in ``lost``."""
+        count = self.written
+        first = max(self._next, count - self.slots + 1)
+        rows = self._rows[np.arange(first, count) % self.slots].copy()
+        # The writer may have gone on, and be in the middle of the next row.
+        kept = min(max(first, self.written - self.slots + 1), count)
+        self.lost += kept - self._next
+        self._next = count
+        return rows[kept - first :]
+
+    def close(self) -> None:
+        """Give the memory back; its maker takes the name away."""
+        del self._head, self._rows
+        if self._made:
+            Path(self.name).unlink(missing_ok=True)
+
+
+def _folder() -> str | None:
+    """A folder whose files are in memory, where the system has one."""
+    return "/dev/shm" if Path("/dev/shm").is_dir() else None
