@@ -96,7 +96,7 @@ def shoot_jog(picture: Path, *, width: int = 880, height: int = 470) -> None:
         page.settled()
         for seen in operated():
             shown.show(seen)
-            frames.append(page.settled(every=0.12))
+            frames.append(page.settled(every=0.3))
     shown.close()
     images = [Image.fromarray(frame.astype("uint8")) for frame in frames]
     palette = images[len(images) // 2].quantize(128)

@@ -20,7 +20,7 @@ from pathlib import Path
 import pytest
 from places import CELL_FILES as CELLS, ROOT
 
-from coopqp import ControlStep, load_cell_file
+from coopqp import ControlStep, Program, load_cell_file
 from coopqp.cli import demo, main as cli
 from coopqp.drivers.real_time import RealTimeRun
 from coopqp.scenarios import robot_file
@@ -36,6 +36,20 @@ OTHERS = {"qpbenchmark": "benchmarks/README.md", "cd": "benchmarks/README.md"}
 
 #: What stands around a piece of a program: before it, and after it.
 AROUND = {
+    "tutorials/10-a-way-round.md": (
+        "import numpy as np, pinocchio as pin\n"
+        "from coopqp import Clearance, CollisionScene, QPController, Replanner\n"
+        "from coopqp.collision import Body, Capsule\n"
+        "from coopqp.scenarios import dual_arm7\n"
+        "task = dual_arm7()\n"
+        "T_world_cart = pin.SE3(np.eye(3), np.array([0.0, 0.0, -2.0]))\n"
+        "cart = Body('cart', Capsule(0.03, 0.3), T_world_cart)\n"
+        "scene = CollisionScene.of(task, moving=[cart])\n"
+        "controller = QPController(task.cell, task.grasp, task.path, dt=0.01, constraints=[Clearance(scene)])\n"
+        "controller.reset(task.q_start)\n"
+        "step = controller.step()\n",
+        "assert step.finished\n",
+    ),
     "howto/reins.md": (
         "from coopqp import LinePath, QPController, Status\n"
         "from coopqp.scenarios import paper_lift\n"
@@ -160,8 +174,17 @@ def test_the_programs_of_a_page_run(page: Path, place: Path) -> None:
                 exec(compile(before + block + after, page.name, "exec"), {"__name__": "__main__"})
 
 
-def run_verdict(block: str, place: Path) -> None:
-    """The table of the page has the defaults of the verdict."""
+def run_cell_file(block: str, place: Path) -> None:
+    """The tables of the page: those of the verdict have its defaults; phases are a program of the paper's arms."""
+    if "[[phases]]" in block:
+        text = (CELLS / "paper_lift.toml").read_text(encoding="utf-8")
+        before, _, after = text.partition("[path]")
+        file = place / "program.toml"
+        file.write_text(before + after[after.index("[start]") :] + "\n" + block, encoding="utf-8")
+        program = load_cell_file(file).scenario.path
+        assert isinstance(program, Program)
+        assert [phase.name for phase in program.phases] == ["lift", "regrasp"]
+        return
     with_it = place / "with_verdict.toml"
     with_it.write_text((CELLS / "bar.toml").read_text(encoding="utf-8") + "\n" + block, encoding="utf-8")
     assert Tolerances(**load_cell_file(with_it).settings.verdict.model_dump()) == Tolerances()
@@ -197,7 +220,7 @@ def make_driver(block: str, place: Path, cell: str = "two_ur10") -> None:
 
 
 TOML: dict[str, Callable[[str, Path], None]] = {
-    "howto/cell-file.md": run_verdict,
+    "howto/cell-file.md": run_cell_file,
     "howto/drivers.md": run_driver,
     "howto/ros2.md": make_driver,
     "howto/ur.md": make_driver,

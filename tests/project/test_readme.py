@@ -57,7 +57,8 @@ def test_the_command_lines_run(line: str, tmp_path: Path, monkeypatch: pytest.Mo
     monkeypatch.setattr(demo, "demo_pictures", lambda *_: {"picture.png": b""})  # drawn in test_cli
     _, *arguments = shlex.split(line)
     assert cli.main([*arguments, "--quiet"]) == 0
-    assert (tmp_path / "out" / "records.json").is_file()
+    assert (tmp_path / "out").is_dir()
+    assert (tmp_path / "out" / "records.json").is_file() == ("--json" in arguments)
 
 
 def test_the_pictures_are_there_and_wide_enough() -> None:
