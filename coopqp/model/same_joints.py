@@ -93,7 +93,8 @@ def without_copies(arms: Sequence[Arm]) -> tuple[tuple[Arm, ...], tuple[str, ...
     the nearest position inside its limits. Its links are shown and kept clear of in the other arm alone.
 
     Returns:
-        The arms, and the names ``arm/joint`` of joints that were locked.
+        The arms, and the names ``arm/joint`` of joints that were locked, but for those that move with another arm of
+        one robot.
 
     Raises:
         InvalidInputError: a joint moves the tools of two arms, or is locked in one of them only, or elsewhere.
@@ -118,7 +119,8 @@ def without_copies(arms: Sequence[Arm]) -> tuple[tuple[Arm, ...], tuple[str, ...
         alone = _reduced(arm, twice) if twice else arm
         names = tuple(joint.name for joint in joints[k] if joint.name in shared[k])
         out.append(alone if alone.shared == names else replace(alone, shared=names))
-        locked += [f"{arm.name}/{joint.name}" for joint in twice]
+        moved = [o for o in others if o.carries and arm.robot and arms[o.arm].robot == arm.robot]  # by its other arms
+        locked += [f"{arm.name}/{joint.name}" for joint in twice if not any(joint.is_same(o) for o in moved)]
     return tuple(out), tuple(locked)
 
 

@@ -34,6 +34,7 @@ def test_a_robot_moves_as_its_model_does(torso: tuple[tuple[str, str], ...], tmp
     assert cell.joint_names[: len(torso)] == tuple(f"torso/torso_{i}" for i in range(len(torso)))
     assert len(set(cell.joint_names)) == cell.nv == len(torso) + 1 + 12  # and the neck, which moves no tool
     assert cell.groups == ((0, 1),)
+    assert cell.locked == ("right/neck",)  # all else that one arm's model has of the other moves with the other
     np.testing.assert_array_equal(cell.shared, range(len(torso)))
     whole = pin.buildModelFromUrdf(str(tmp_path / "both.urdf"))
     x, q = np.random.default_rng(3).uniform(-1.0, 1.0, cell.nv), pin.neutral(whole)
