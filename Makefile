@@ -55,7 +55,7 @@ lint: $(VENV)/.installed
 # The compiled core, each warning an error, no weak symbol common to its two builds, and no heap in its arithmetic.
 core: $(VENV)/.installed
 	$(BIN)/cmake -S . -B build/strict -DCOOPQP_WERROR=ON -DPython_EXECUTABLE=$(CURDIR)/$(BIN)/python
-	$(BIN)/cmake --build build/strict --clean-first
+	$(BIN)/cmake --build build/strict --clean-first --parallel 2
 	$(BIN)/python .ci/weak_symbols.py build/strict
 
 # The tests marked core in a copy of the package whose core stops at the first wrong access to memory and the first
@@ -68,7 +68,7 @@ sanitize: export COOPQP_MOST_SKIPS := 8
 sanitize: $(VENV)/.installed
 	$(BIN)/cmake -S . -B $(SANITIZED) -DCMAKE_BUILD_TYPE=RelWithDebInfo -DCOOPQP_SANITIZE=ON \
 	  -DPython_EXECUTABLE=$(CURDIR)/$(BIN)/python
-	$(BIN)/cmake --build $(SANITIZED)
+	$(BIN)/cmake --build $(SANITIZED) --parallel 2
 	rm -rf $(SANITIZED)/tree && mkdir $(SANITIZED)/tree && cp -r coopqp $(SANITIZED)/tree
 	rm -f $(SANITIZED)/tree/coopqp/native/_core*.so
 	$(BIN)/cmake --install $(SANITIZED) --prefix $(SANITIZED)/tree
