@@ -10,6 +10,7 @@ from coopqp.scenarios.arms import ROBOTS, robot_arm, robot_data_path, robot_file
 from coopqp.scenarios.cells import dual_arm7, five_joint_pair, mixed_cell, panda_bar, ring, scara_pair, ur5_table
 from coopqp.scenarios.loads import LOADED, base_off_lift, heavy_lift, hot_plate, palm_box, torque_lift
 from coopqp.scenarios.obstacles import elbow_and_knob, elbows, forearms, plate_and_post, plate_and_table, random_posts
+from coopqp.scenarios.one_robot import SHARED_JOINTS, torso_lift, two_on_a_rail
 from coopqp.scenarios.paper import abb_lift, fast_lift, kuka_lift, mixed_lift, paper_lift, wide_grasp
 from coopqp.scenarios.pins import bar_with_pins, five_joint_pins
 from coopqp.scenarios.programs import PROGRAMS, conveyor, draw_on_plate, hand_over, pliers, positioner, regrasp_plate
@@ -22,6 +23,7 @@ __all__ = [
     "ROBOTS",
     "ROBOT_NAMES",
     "SCENARIOS",
+    "SHARED_JOINTS",
     "EngineSettings",
     "Scenario",
     "abb_lift",
@@ -62,12 +64,14 @@ __all__ = [
     "scara_pair",
     "scenario",
     "torque_lift",
+    "torso_lift",
+    "two_on_a_rail",
     "ur5_table",
     "wide_grasp",
 ]
 
 #: The function of every scenario, by name; scenarios in :data:`LOADED` run in the physics engine,
-#: those in :data:`PROGRAMS` are programs. A call without
+#: those in :data:`PROGRAMS` are programs, and arms of those in :data:`SHARED_JOINTS` share joints. A call without
 #: arguments uses the defaults. Some need the extra ``robots``.
 SCENARIOS: dict[str, Callable[[], Scenario]] = {
     make.__name__: make  # the functions have other arguments, all with defaults
@@ -75,7 +79,7 @@ SCENARIOS: dict[str, Callable[[], Scenario]] = {
         paper_lift, wide_grasp, fast_lift, kuka_lift, abb_lift, mixed_lift, at_limit, at_singularity, dual_arm7,
         panda_bar, ur5_table, mixed_cell, ring, scara_pair, five_joint_pair, plate_and_post, plate_and_table,
         elbow_and_knob, elbows, forearms, random_posts, *LOADED.values(), *PROGRAMS.values(), five_joint_pins,
-        bar_with_pins,
+        bar_with_pins, *SHARED_JOINTS.values(),
     )
 }  # fmt: skip
 

@@ -25,6 +25,7 @@ from coopqp.scenarios import (
     LOADED,
     PROGRAMS,
     SCENARIOS,
+    SHARED_JOINTS,
     Scenario,
     at_singularity,
     dual_arm7,
@@ -199,7 +200,7 @@ def test_the_rows_of_the_condensed_form_have_unit_norm(
 
 
 #: Those of LOADED move the arms as the paper's lift does.
-NAMES = [name for name in SCENARIOS if name not in (*LOADED, *PROGRAMS)]
+NAMES = [name for name in SCENARIOS if name not in (*LOADED, *PROGRAMS, *SHARED_JOINTS)]
 
 
 @pytest.mark.parametrize(
