@@ -173,7 +173,7 @@ static int along_one_axis(const Core *c, double from, double to, Vector3 &omega,
     const Eigen::Map<const Vector3> turn(segment + 12), way(segment + 15);
     const double gain = (to <= end ? place_on(segment, to).u : 1.0) - place_on(segment, from).u;
     omega = gain * turn, moved = gain * way;
-    if (to <= end) return 1;
+    if (!(to > end)) return 1; /* a NaN is beyond no segment */
     const double *next = segment + SEGMENT, *after = next + SEGMENT;
     const double *last = c->path_numbers + 3 + count_of(c, 1) + SEGMENT * (count_of(c, 2) - 1);
     if (has_ramps(next) || (next < last && to > after[18])) return 0;
