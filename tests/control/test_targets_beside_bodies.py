@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 
 from coopqp import Clearance, CollisionScene, QPController, Rank
-from coopqp.control.core.compiled import CompiledLoop
 from coopqp.native import available_kernels
 from coopqp.scenarios import elbow_and_knob, plate_and_post
 from coopqp.spatial import Array
@@ -47,6 +46,8 @@ def _commands(make: Any, seed: int, *, rows: bool) -> tuple[Array, list[bool]]:
 def test_the_core_takes_the_ways_that_the_definition_takes(
     make: Any, rows: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    from coopqp.control.core.compiled import CompiledLoop  # needs the core
+
     taken: list[bool | None] = []
     own = CompiledLoop.retarget_motion
 

@@ -94,7 +94,7 @@ class Replanner:
         clearance: distance that detours keep beyond the margins [m].
         seed: seed of the random numbers.
         simulated: for simulations, which know no time but that of the steps: searches run inside :meth:`watch`, and
-            what they find is taken when as much time of the steps has gone by as they took.
+            what they find is taken when as much time of the steps has gone by as they took of the processor.
 
     Attributes:
         found: detours that were followed.
@@ -198,9 +198,9 @@ class Replanner:
         ask = self._asking(motion, places)
         self._busy = True
         if self._thread is None:
-            began = time.perf_counter()
+            began = time.thread_time()
             self._answer = ask()
-            self._due = self._now + time.perf_counter() - began
+            self._due = self._now + time.thread_time() - began
         else:
             self._due = 0.0
             with self._wakes:
