@@ -186,4 +186,6 @@ def test_all_calls_in_any_order(kernel: str, machines: int) -> None:
     scale = settings().max_examples / 200  # 1 in CI, 10 every night
     machine = type("Machine", (AnyCall,), {"seen": set(), "kernel": kernel})
     run_state_machine_as_test(machine, settings=settings(max_examples=int(machines * scale), stateful_step_count=12))
-    assert machine.seen >= {Status.TRACKING, Status.SLOWED, Status.PAUSED, Status.JOGGING} or machines < 10
+    assert len(machine.seen) >= 2
+    if machines * scale > 100:  # every night; a few random machines may miss one
+        assert machine.seen >= {Status.TRACKING, Status.SLOWED, Status.PAUSED, Status.JOGGING}
