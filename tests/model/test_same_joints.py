@@ -12,6 +12,7 @@ import numpy as np
 import pinocchio as pin
 import pytest
 from marks import slow_but_first
+from torsos import two_arms
 
 from coopqp import Arm, InvalidInputError, RobotCell
 from coopqp.cli.main import main
@@ -31,33 +32,6 @@ TORSOS: tuple[tuple[tuple[str, str], ...], ...] = (
     (("revolute", "0.6 0 0.8"),),
     (("revolute", "1 0 0"), ("revolute", "0 1 0"), ("revolute", "0 0 1")),
 )
-#: Axes of the six joints of an arm, and the offsets of their frames [m].
-AXES = ("0 0 1", "0 1 0", "0 1 0", "1 0 0", "0 1 0", "1 0 0")
-OFFSETS = ("0 0 0.1", "0 0 0.1", "0 0 0.4", "0.1 0 0", "0.35 0 0", "0.1 0 0")
-
-
-def joint(name: str, kind: str, parent: str, child: str, axis: str, xyz: str, rpy: str = "0 0 0") -> str:
-    limit = "" if kind == "continuous" else 'lower="-2.9" upper="2.9" '
-    return (
-        f'<link name="{child}"/><joint name="{name}" type="{kind}"><parent link="{parent}"/><child link="{child}"/>'
-        f'<origin xyz="{xyz}" rpy="{rpy}"/><axis xyz="{axis}"/><limit {limit}velocity="2" effort="100"/></joint>'
-    )
-
-
-def two_arms(torso: tuple[tuple[str, str], ...]) -> str:
-    """A URDF of a torso with two arms of six joints and a head."""
-    text, last = '<robot name="both"><link name="base"/>', "base"
-    for i, (kind, axis) in enumerate(torso):
-        text += joint(f"torso_{i}", kind, last, f"chest_{i}", axis, "0 0 0.3")
-        last = f"chest_{i}"
-    text += joint("neck", "revolute", last, "head", "0 0 1", "0 0 0.6")
-    for side, y in (("left", 0.3), ("right", -0.3)):
-        before = last
-        for i, (axis, xyz) in enumerate(zip(AXES, OFFSETS, strict=True)):
-            place = f"0 {y} 0.4" if i == 0 else xyz
-            text += joint(f"{side}_{i}", "revolute", before, f"{side}_link_{i}", axis, place)
-            before = f"{side}_link_{i}"
-    return text + "</robot>"
 
 
 def arm_of(side: str, file: Path, **options: Any) -> Arm:
