@@ -131,6 +131,18 @@ def test_to_a_clock_in_motion_and_on_with_resume(kernel: str) -> None:
     kept(controller, done)
 
 
+@both
+def test_the_rate_of_a_step_that_a_section_ends_early(kernel: str) -> None:
+    """An arm was seen elsewhere, so the object is off its path: its last step would lead beyond where it is to rest."""
+    controller = lift(kernel)
+    far = controller.commanded.copy()
+    far[controller.cell.q_slices[0]] += 0.1
+    done = [controller.step(far)]
+    controller.run_to(0.5 * controller.path.duration)
+    done += until(controller, Status.PAUSED)
+    assert max(abs(s.clock_next - s.clock - s.rate * s.dt) for s in done) < 1e-12
+
+
 @fast
 def test_a_clock_too_near_to_stop_at_is_passed_and_come_back_to(kernel: str) -> None:
     controller = lift(kernel)

@@ -443,8 +443,12 @@ class Operator:
             return True
         if step.status is Status.TRACKING and loop.rate < 1.0 - RATE_ROUNDING:
             reason = "; ".join(filter(None, (step.reason, "the object comes to rest where it was told to")))
-            amend(step, status=Status.SLOWED, rate=loop.rate, cause=Cause.OPERATOR, reason=reason)
+            amend(step, status=Status.SLOWED, rate=self._rate_of(step), cause=Cause.OPERATOR, reason=reason)
         return True
+
+    def _rate_of(self, step: ControlStep) -> float:
+        """σ of a step that may end at the end of a section, which cuts it short."""
+        return min(self._loop.rate, abs(step.clock_next - step.clock) / step.dt)
 
     def tell(self, step: ControlStep) -> None:
         """Say in a step that the object slows for a change, and no limit does it."""
@@ -467,8 +471,7 @@ class Operator:
         """Say in a step that the object rests at a gate, and for what signal it waits."""
         if step.status in (Status.TRACKING, Status.SLOWED, Status.BLOCKED):
             reason = "; ".join(filter(None, (step.reason, f"it waits for the signal '{self.waits_for}'")))
-            rate = self._loop.rate if step.clock_next > step.clock else 0.0
-            amend(step, status=Status.WAITING, rate=rate, cause=Cause.OPERATOR, binding=(), reason=reason)
+            amend(step, status=Status.WAITING, rate=self._rate_of(step), cause=Cause.OPERATOR, binding=(), reason=reason)
 
     def _by_hand(self) -> str:
         if self.returns:
