@@ -562,8 +562,7 @@ class QPController(OperatorCalls):
         else:
             step = self._loop.careful_step(q_measured, dt)
         operator.tell(step)
-        if self._glances:
-            operator.passed(step)
+        ended = operator.glances and operator.passed(step)  # on the way that this step has gone, which may be new
         if self._outside:  # it started there: say so until it is mended
             off_path = step.status is Status.OFF_PATH or step.status in (Status.HOLDING, Status.FAULT)
             by_hand = off_path or step.status is Status.JOGGING
@@ -574,6 +573,8 @@ class QPController(OperatorCalls):
             else:
                 self._outside = False
         self._find_fast_step()
+        if ended:
+            self._fast = None
         return step
 
     def _glancing(self, q_measured: Any, dt: Any) -> ControlStep | None:

@@ -140,7 +140,27 @@ def test_the_rate_of_a_step_that_a_section_ends_early(kernel: str) -> None:
     done = [controller.step(far)]
     controller.run_to(0.5 * controller.path.duration)
     done += until(controller, Status.PAUSED)
-    assert max(abs(s.clock_next - s.clock - s.rate * s.dt) for s in done) < 1e-12
+    controller.reverse()
+    controller.step()
+    done += until(controller, Status.PAUSED)
+    assert max(abs(s.clock_next - s.clock - s.sense * s.rate * s.dt) for s in done) < 1e-12
+
+
+@both
+def test_the_rate_of_the_first_step_back_that_is_the_last(kernel: str) -> None:
+    """The object is off its path and the start of the way back is its end."""
+    controller = lift(kernel)
+    far = controller.commanded.copy()
+    far[controller.cell.q_slices[0]] += 0.1
+    done = [controller.step(far)]
+    for i in range(18):
+        controller.gear(controller.program_clock + 0.005 * i)
+        done += steps(controller, 1)
+    controller.set_override(1.0)
+    controller.run_to(0.0)
+    done += steps(controller, 5)
+    assert done[-4].sense == -1
+    assert max(abs(s.clock_next - s.clock - s.sense * s.rate * s.dt) for s in done) < 1e-12
 
 
 @fast

@@ -441,9 +441,12 @@ class Operator:
         if self.waits_for is not None:
             self._say_waiting(step)
             return True
-        if step.status is Status.TRACKING and loop.rate < 1.0 - RATE_ROUNDING:
+        rate = min(step.rate, self._rate_of(step))  # the loop takes the last step of a path for one at the full rate
+        if step.status is Status.TRACKING and rate < 1.0 - RATE_ROUNDING:
             reason = "; ".join(filter(None, (step.reason, "the object comes to rest where it was told to")))
-            amend(step, status=Status.SLOWED, rate=self._rate_of(step), cause=Cause.OPERATOR, reason=reason)
+            amend(step, status=Status.SLOWED, rate=rate, cause=Cause.OPERATOR, reason=reason)
+        elif rate < step.rate:
+            amend(step, rate=rate)
         return True
 
     def _rate_of(self, step: ControlStep) -> float:
