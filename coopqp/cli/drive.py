@@ -66,6 +66,7 @@ def add_drive(commands: Any) -> None:
 def run_drive(arguments: argparse.Namespace) -> int:
     """Run ``coopqp drive``."""
     from coopqp.checks import as_scalar
+    from coopqp.drivers.ros2_domain import require_cyclone
     from coopqp.files.cellfile import load_cell_file, require_readers
     from coopqp.output import check_new
 
@@ -83,6 +84,8 @@ def run_drive(arguments: argparse.Namespace) -> int:
     run = load_cell_file(arguments.cell)
     if run.controller_kind != "qp":
         raise InvalidInputError(f"the controller is '{run.controller_kind}'", "drive", 'Give kind = "qp".')
+    if run.settings.ros2 is not None:
+        require_cyclone()
     if arguments.enable is not None:
         return drive_enabled(run, arguments, speed)
     with _drivers(run, arguments.driver) as drivers:
@@ -231,6 +234,8 @@ def _drive(
     from coopqp.drivers.loop import ControlLoop
     from coopqp.drivers.options import LoopOptions
     from coopqp.drivers.recorder import MemoryRecorder
+    from coopqp.drivers.ros2_board import Ros2Board, Ros2BoardOptions
+    from coopqp.files.cellfile.strict import build_options
 
     controller, slower = _bounded(run)
     controller.set_override(speed)
@@ -240,7 +245,9 @@ def _drive(
     elif arguments.record is not None:
         recorder = BagRecorder(run.scenario.cell.joint_names, arguments.record)
     shown = ShownRecorder(recorder)
-    loop = ControlLoop(controller, drivers, LoopOptions(ramp_time=2.0), recorder=recorder if lead is None else shown)
+    table = run.settings.ros2
+    plain = lead is None and table is None
+    loop = ControlLoop(controller, drivers, LoopOptions(ramp_time=2.0), recorder=recorder if plain else shown)
     with contextlib.ExitStack() as ending:
         if isinstance(recorder, BagRecorder):
             ending.callback(recorder.close)
@@ -252,7 +259,11 @@ def _drive(
         if lead is not None:
             link = lead(loop)
             ending.callback(link.close)
-            shown.show = link.observe
+            shown.shows.append(link.observe)
+        if table is not None:
+            board = Ros2Board(loop, run.scenario.name, build_options(Ros2BoardOptions, table))
+            ending.callback(board.close)
+            shown.shows.append(board.observe)
         seen = ending.enter_context(interrupts(loop))
         if not arguments.quiet:
             print(slower, flush=True)

@@ -17,6 +17,7 @@ from .real_time import RealTimeRun as RealTimeRun
 from .recorder import MemoryRecorder as MemoryRecorder
 from .report import LoopReport as LoopReport
 from .ros2 import Ros2Driver as Ros2Driver, Ros2Options as Ros2Options
+from .ros2_board import Ros2Board as Ros2Board, Ros2BoardOptions as Ros2BoardOptions
 from .sim import SimDriver as SimDriver, SimOptions as SimOptions
 from .simulated import ServoModel as ServoModel, SimulatedRobot as SimulatedRobot
 from .timing import LoopTime as LoopTime, ManualTime as ManualTime, MonotonicTime as MonotonicTime

@@ -60,15 +60,15 @@ def _answer(future: Future[None]) -> None:
 
 @final
 class ShownRecorder:
-    """Shows each period's step, and hands it on to another recorder if there is one."""
+    """Shows each period's step to all of ``shows``, and hands it on to another recorder if there is one."""
 
     def __init__(self, then: LoopRecorder | None = None) -> None:
-        self.show: Callable[[ControlStep], None] | None = None
+        self.shows: list[Callable[[ControlStep], None]] = []
         self._then = then
 
     def take(self, moment: float, measured: Array, sent: Array, step: ControlStep, clock: float) -> None:
         """One period."""
         if self._then is not None:
             self._then.take(moment, measured, sent, step, clock)
-        if self.show is not None:
-            self.show(step)
+        for show in self.shows:
+            show(step)

@@ -16,27 +16,18 @@ from typing import Annotated, Any, Literal, final
 
 import numpy as np
 
-from coopqp.checks import Doc, as_count, as_options, documented, keep_scalars
+from coopqp.checks import Doc, as_options, documented, keep_scalars
 from coopqp.drivers.driver import RobotState
 from coopqp.drivers.process_link import ProcessDriver
 from coopqp.drivers.robot_process import serve
+from coopqp.drivers.ros2_domain import Participant, check_domain, check_topic, require_cyclone, taken
 from coopqp.errors import InvalidInputError
-from coopqp.lazy import needed
 from coopqp.spatial import Array
 
 #: Longest start of the process [s].
 _START = 30.0
-#: Without the first entry another vendor's endpoints are found, and no data pass.
-_SETTINGS = "<Compatibility><IgnoreTypeInformation>1.15</IgnoreTypeInformation></Compatibility>"
-_LOCALHOST = (
-    '<General><Interfaces><NetworkInterface address="127.0.0.1" multicast="false"/></Interfaces>'
-    "<AllowMulticast>false</AllowMulticast></General><Discovery><ParticipantIndex>auto</ParticipantIndex>"
-    '<MaxAutoParticipantIndex>60</MaxAutoParticipantIndex><Peers><Peer address="127.0.0.1"/></Peers></Discovery>'
-)
 #: How many periods a state is waited for, and after how many a wrench is old.
 _PATIENCE, _OLD = 3, 5
-#: How many messages are kept until they are read.
-_KEPT = 10
 SendsAs = Literal["trajectory", "forward"]
 
 
@@ -71,12 +62,8 @@ class Ros2Options:
         if self.lag is not None:
             keep_scalars(self, "lag", high=1.0, open_low=False)
         for name in ("command_topic", "states_topic", "wrench_topic"):
-            topic = getattr(self, name)
-            empty = topic == "" and name != "states_topic"
-            if not isinstance(topic, str) or (not empty and not (topic.startswith("/") and len(topic) > 1)):
-                raise InvalidInputError(f"{name} is {topic!r}", "Ros2Options", "Give a name that begins with /.")
-        if self.domain != 0 and as_count(self.domain, "Ros2Options: domain") > 232:
-            raise InvalidInputError(f"domain is {self.domain}", "Ros2Options", "Give a number from 0 to 232.")
+            check_topic(getattr(self, name), name, "Ros2Options", may_be_empty=name != "states_topic")
+        check_domain(self.domain, "Ros2Options")
         for name, values in (("sends", ("trajectory", "forward")), ("wrench_acts_on", ("arm", "object"))):
             if getattr(self, name) not in values:
                 raise InvalidInputError(
@@ -104,7 +91,7 @@ class Ros2Driver(ProcessDriver):
         o = self.options = as_options(Ros2Options, options, "Ros2Driver: options")
         if not o.command_topic:
             raise InvalidInputError("no command_topic", "Ros2Driver", "Give the topic of the arm's commands.")
-        needed("cyclonedds", "ros2", "cyclonedds")
+        require_cyclone()
         super().__init__(names, "coopqp.drivers.ros2", {**asdict(o), "joints": names}, start=_START)
         self.period, self.lag, self.delay = o.period, o.lag, o.delay
 
@@ -121,36 +108,17 @@ class Ros2Robot:
 
     def connect(self) -> None:
         """Take part in the domain."""
-        from cyclonedds.core import Policy, Qos, ReadCondition, WaitSet
-        from cyclonedds.domain import Domain, DomainParticipant
-        from cyclonedds.pub import DataWriter
-        from cyclonedds.sub import DataReader
-        from cyclonedds.topic import Topic
         from cyclonedds.util import duration
 
         from coopqp.drivers import ros2_messages as messages
 
         o, self._messages = self._options, messages
-        text = _SETTINGS + (_LOCALHOST if o.localhost else "")
-        self._domain = Domain(o.domain, f'<CycloneDDS><Domain id="any">{text}</Domain></CycloneDDS>')
-        participant = self._participant = DomainParticipant(o.domain)
-
-        def topic(name: str, kind: Any) -> Any:
-            return Topic(participant, f"rt{name}", kind)  # as ROS 2 calls its topics in DDS
-
-        quick = Qos(Policy.Reliability.BestEffort, Policy.History.KeepLast(_KEPT))
-        sure = Qos(Policy.Reliability.Reliable(duration(milliseconds=100)), Policy.History.KeepLast(_KEPT))
-        self._states = DataReader(participant, topic(o.states_topic, messages.JointState), qos=quick)
-        self._wrenches = (
-            DataReader(participant, topic(o.wrench_topic, messages.WrenchStamped), qos=quick)
-            if o.wrench_topic
-            else None
-        )
+        participant = self._participant = Participant(o.domain, localhost=o.localhost)
+        self._states = participant.reader(o.states_topic, messages.JointState)
+        self._wrenches = participant.reader(o.wrench_topic, messages.WrenchStamped) if o.wrench_topic else None
         kind = messages.JointTrajectory if self.interpolates else messages.Float64MultiArray
-        self._commands = DataWriter(participant, topic(o.command_topic, kind), qos=sure)
-        self._waiting = WaitSet(participant)
-        anything = 0x7F  # read or not, of a known or new writer, alive or not
-        self._waiting.attach(ReadCondition(self._states, anything))
+        self._commands = participant.writer(o.command_topic, kind)
+        self._waiting = participant.waiting(self._states)
         self._patience = duration(seconds=_PATIENCE * o.period)
 
     def read(self) -> RobotState | None:
@@ -158,9 +126,8 @@ class Ros2Robot:
         self._waiting.wait(self._patience)
         self._read_wrench()
         newest: RobotState | None = None
-        for sample in self._states.take(_KEPT):
-            if isinstance(sample, self._messages.JointState):  # not the notice that a peer has gone
-                newest = self._state(sample) or newest
+        for sample in taken(self._states, self._messages.JointState):
+            newest = self._state(sample) or newest
         return newest
 
     def _state(self, sample: Any) -> RobotState | None:
@@ -186,10 +153,9 @@ class Ros2Robot:
         if self._wrenches is None:
             return
         sign = 1.0 if self._options.wrench_acts_on == "object" else -1.0
-        for sample in self._wrenches.take(_KEPT):
-            if isinstance(sample, self._messages.WrenchStamped):
-                f, t = sample.wrench.force, sample.wrench.torque
-                self._wrench = time.monotonic(), sign * np.array([f.x, f.y, f.z, t.x, t.y, t.z])
+        for sample in taken(self._wrenches, self._messages.WrenchStamped):
+            f, t = sample.wrench.force, sample.wrench.torque
+            self._wrench = time.monotonic(), sign * np.array([f.x, f.y, f.z, t.x, t.y, t.z])
 
     def _known_wrench(self) -> Array | None:
         """The newest wrench; NaN where it is old."""

@@ -66,7 +66,7 @@ def test_a_period_is_shown_and_recorded() -> None:
     shown = ShownRecorder(then)
     period: Any = (0.0, None, None, "step", 1.0)
     shown.take(*period)
-    shown.show = taken.append
+    shown.shows.append(taken.append)
     shown.take(*period)
     ShownRecorder().take(*period)
     assert taken == [period, period, "step"]

@@ -79,9 +79,9 @@ class ByCyclone:
         from cyclonedds.topic import Topic
 
         from coopqp.drivers import ros2_messages as m
-        from coopqp.drivers.ros2 import _LOCALHOST
+        from coopqp.drivers.ros2_domain import LOCALHOST
 
-        self.domain = Domain(domain, f'<CycloneDDS><Domain id="any">{_LOCALHOST}</Domain></CycloneDDS>')
+        self.domain = Domain(domain, f'<CycloneDDS><Domain id="any">{LOCALHOST}</Domain></CycloneDDS>')
         p = DomainParticipant(domain)
         self.types = m.JointState, m.WrenchStamped
         self.states = DataWriter(p, Topic(p, "rt/joint_states", m.JointState))

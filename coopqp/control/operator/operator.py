@@ -474,7 +474,8 @@ class Operator:
         """Say in a step that the object rests at a gate, and for what signal it waits."""
         if step.status in (Status.TRACKING, Status.SLOWED, Status.BLOCKED):
             reason = "; ".join(filter(None, (step.reason, f"it waits for the signal '{self.waits_for}'")))
-            amend(step, status=Status.WAITING, rate=self._rate_of(step), cause=Cause.OPERATOR, binding=(), reason=reason)
+            rate = self._rate_of(step)
+            amend(step, status=Status.WAITING, rate=rate, cause=Cause.OPERATOR, binding=(), reason=reason)
 
     def _by_hand(self) -> str:
         if self.returns:

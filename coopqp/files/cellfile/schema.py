@@ -14,6 +14,7 @@ from coopqp.baselines.independent import IndependentQPOptions
 from coopqp.baselines.pseudo_inverse import PseudoInverseOptions
 from coopqp.control.options import QPOptions
 from coopqp.drivers.kinds import DRIVER_KINDS
+from coopqp.drivers.ros2_board import Ros2BoardOptions
 from coopqp.errors import shown
 from coopqp.files.cellfile.basic import (
     MAX_ARMS,
@@ -289,6 +290,8 @@ _DRIVER_TABLES = tuple(
     for name, kind in DRIVER_KINDS.items()
 )
 
+_Ros2Table = table_of(Ros2BoardOptions, "Ros2Table")
+
 #: Largest accepted errors: the run fails beyond them.
 _VerdictTable = table_of(Tolerances, "VerdictTable")
 
@@ -297,8 +300,10 @@ if TYPE_CHECKING:
     PlantTable = Any
     VerdictTable = Any
     DriverTable = Any
+    Ros2Table = Any
 else:
     VerdictTable = _VerdictTable
+    Ros2Table = _Ros2Table
     DriverTable = Annotated[Union[_DRIVER_TABLES], Field(discriminator="kind")]  # noqa: UP007  # of a tuple
     ControllerTable = Annotated[QPTable | PseudoInverseTable | IndependentTable, Field(discriminator="kind")]
     PlantTable = Annotated[KinematicTable | PhysicsTable, Field(discriminator="kind")]
@@ -376,6 +381,9 @@ class CellFile(Table):
     )
     drivers: Annotated[dict[Name, DriverTable], Len(0, MAX_ARMS)] = Field(
         default={}, description="the driver of each robot, by the name of its arm, for `coopqp drive`"
+    )
+    ros2: Ros2Table | None = Field(
+        default=None, description="ROS 2 topics of `coopqp drive`: its status, the object's pose, a hand's targets"
     )
     verdict: VerdictTable = Field(
         default_factory=_VerdictTable, description="accepted errors; `coopqp run` ends with status 4 beyond them"
