@@ -109,7 +109,7 @@ def echo(number: int = 5000) -> Iterator[Row]:
 
 
 def _ages(drivers: dict[str, Ros2Driver], number: int) -> Array:
-    prepare_process(realtime=True, lock_memory=True, core=None)
+    prepare_process(realtime=50, lock_memory=True, core=None)
     for driver in drivers.values():
         driver.connect()
     sent, ages = np.zeros(number), list[float]()
@@ -151,7 +151,7 @@ def minutes(duration: float = 600.0) -> Iterator[Row]:
         controller = QPController(
             CELL, LIFT.grasp, _lifts(duration), dt=DT, options={"supervision": {"stiffness": 1e4}}
         )
-        loop = ControlLoop(controller, drivers, LoopOptions(realtime=True, lock_memory=True))
+        loop = ControlLoop(controller, drivers, LoopOptions(realtime=50, lock_memory=True))
         try:
             report = loop.run()
             counts = _counts(node)
@@ -189,7 +189,7 @@ def _on_sim(recorder: Any, lead: Callable[[ControlLoop], Any] | None = None, num
         for k, (name, own, lag) in enumerate(zip(CELL.arm_names, CELL.v_slices, (0.007, 0.032, 0.047), strict=True))
     }
     path = LIFT.path if number == 1 else _lifts(number * LIFT.path.duration)
-    loop = ControlLoop(QPController(CELL, LIFT.grasp, path, dt=DT), drivers, {"realtime": True}, recorder=recorder)
+    loop = ControlLoop(QPController(CELL, LIFT.grasp, path, dt=DT), drivers, {"realtime": 50}, recorder=recorder)
     with contextlib.ExitStack() as ending:
         for driver in drivers.values():
             ending.callback(driver.close)

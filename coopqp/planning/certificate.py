@@ -77,6 +77,8 @@ def tubes(
         qa, qb: joint positions at its ends (M, n) [rad or m].
     """
     n, half = kinematics.n, 0.5 * (b - a)
+    has_length = half > 0.0  # else it is a jump
+    half = np.where(has_length, half, 1.0)
     T_world_object = segments.poses(segment, 0.5 * (a + b))
     q, rows, solved = between(kinematics, T_world_object @ offset, qa, qb, np.full(len(qa), 0.5))
     arm = T_world_object[:, :3, :3] @ offset[:3, 3]  # from the object's origin to the tool
@@ -119,7 +121,7 @@ def tubes(
             break
         with np.errstate(all="ignore"):
             r = np.where(good[:, None], r, np.minimum(_GROWTH * need, 1e3 * speed))
-    good &= solved & regular & np.isfinite(r).all(axis=1)
+    good &= has_length & solved & regular & np.isfinite(r).all(axis=1)
     for end, sign in ((qa, -1.0), (qb, 1.0)):  # the ends belong to the same branch
         good &= (np.abs(end - q - sign * h * v) <= h * r + _INSIDE).all(axis=1)
     E, r = np.where(good[:, None, None], E, 0.0), np.where(good[:, None], r, 0.0)
@@ -257,6 +259,8 @@ def _sway(
 LEAST_SIGMA = 2e-3
 #: A bound of a margin is looser than this only where another interval has a smaller margin [rad or m].
 _LOOSE = 2e-3
+#: Knots at one place of the path are the same up to this [rad or m].
+_SAME_KNOT = 1e-9
 #: The bound of σ_min is at least this share of the smallest value found.
 _SIGMA_SHARE = 0.6
 #: Most halvings of an interval, and most intervals of each way.
@@ -310,6 +314,8 @@ def prove(
     """
     low = np.where(segment[1:] == segment[:-1], share[:-1], 0.0)
     s, high, qa, qb = segment[1:], share[1:], q[:-1], q[1:]
+    moves = (high > low) | (np.abs(qb - qa) > _SAME_KNOT).any(axis=1)  # a knot that repeats the one before says nothing
+    s, low, high, qa, qb = s[moves], low[moves], high[moves], qa[moves], qb[moves]
     least = kinematics.margins(q).min(axis=0)
     parts: list[tuple[npt.NDArray[Any], ...]] = []
     outside: tuple[int, float] | None = None
