@@ -25,7 +25,7 @@ from coopqp.model.grasp import Grasp
 from coopqp.paths.elbows import Elbows
 from coopqp.paths.geometry import PathGeometry
 from coopqp.paths.guarded import GuardedPath
-from coopqp.paths.moving_grasps import HOLD_ON, refuse_motion
+from coopqp.paths.moving_grasps import HOLD_ON, refuse_motion, refuse_ways
 from coopqp.paths.path import ObjectPath
 from coopqp.paths.timed import TimedPath
 from coopqp.planning.arm_check import ArmCheck, UndecidedInterval, arm_record
@@ -44,6 +44,7 @@ from coopqp.planning.branch_checks import (
 )
 from coopqp.planning.clearance_check import Bodies, ClearanceCheck, check_scene
 from coopqp.planning.joint_trajectories import CellTrajectory
+from coopqp.planning.joint_way_check import check_with_ways, ways_of
 from coopqp.planning.phase_checks import PhaseCheck, explained, phase_checks
 from coopqp.planning.segments import Segments, segments_of
 from coopqp.planning.shared_check import check_group, stands_at
@@ -263,6 +264,8 @@ def check_path(
         )
     if cell.groups:
         refuse_motion(path, "check_path: path", HOLD_ON)
+    if q_start is None:
+        refuse_ways(path, "check_path: q_start", "Give the start: where the way begins decides its branch.")
     samples, segments = sample_path(path, grasp), segments_of(path)
     start = None if q_start is None else cell.check_configuration(q_start, "check_path: q_start")
     arms: list[ArmCheck] = []
@@ -272,6 +275,13 @@ def check_path(
         tool = tool_on_object(path, own, k, X) if tools_move(path) else tool_path(segments, own, X)
         if k in grouped:
             arms.append(grouped[k])
+        elif ways_of(path, k):
+            assert start is not None
+            positions = cell.positions(start)[cell.columns[k][kinematics.columns]]
+            if ways_of(path, k)[0].start > 0.0:
+                positions = _exact_at_start(kinematics, tool, positions)[0]
+            branch = check_with_ways(kinematics, path, own, k, X, positions)
+            arms.append(_arm_check(kinematics, branch, [branch], None))
         elif start is None:
             arms.append(_every_branch(kinematics, own, X, tool, seed_factor))
         else:
