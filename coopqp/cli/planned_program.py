@@ -30,7 +30,6 @@ def run_program(run: CellRun, arguments: argparse.Namespace, share: float, folde
     from coopqp.planning.branch_checks import PathVerdict
     from coopqp.planning.check import check_path
     from coopqp.planning.program_timing import time_program
-    from coopqp.planning.tools_on_object import tools_move
 
     for option, given in (
         ("--blend-mm", arguments.blend_mm != 0.0 or arguments.blend_deg is not None),
@@ -45,7 +44,9 @@ def run_program(run: CellRun, arguments: argparse.Namespace, share: float, folde
         time_program(task.cell, task.grasp, program, q_start=task.q_start, share=part)  # type: ignore[arg-type]
         for part in (share, 1.0)
     )
-    scene = run.scene if run.settings.collision is not None and not tools_move(made) else None
+    assert made.grasps is not None
+    placed = not made.grasps.arms[0]  # a scene places the object by the first arm's tool
+    scene = run.scene if run.settings.collision is not None and placed else None
     check = check_path(task.cell, task.grasp, made, q_start=task.q_start, scene=scene)
     if not check.feasible:
         lost = check.verdict is PathVerdict.INFEASIBLE
@@ -58,7 +59,7 @@ def run_program(run: CellRun, arguments: argparse.Namespace, share: float, folde
         for line in (check.verdict.value, *check.explain().splitlines()):
             print(printable(line))
         if scene is None and run.settings.collision is not None:
-            say("distances were not looked at: tools move on the object along the program. A run keeps clear.")
+            say("distances were not looked at: the scene places the object by the first arm's tool, which moves on it.")
         print_written(files, apart=True)
     return _OK
 

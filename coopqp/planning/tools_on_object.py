@@ -180,9 +180,18 @@ def _segments(path: ObjectPath, k: int, X: pin.SE3, begin: float, end: float) ->
             out[here] = laws[j].clocks(made[j].low + (made[j].high - made[j].low) * (s[here] - j))
         return np.minimum(out, end)
 
+    def where(at: Array) -> Array:
+        """Numbers of pieces, and shares of them, at clocks [s]."""
+        i = np.clip(np.searchsorted(clocks, at, side="right") - 1, 0, len(made) - 1)
+        shares = [
+            (laws[j].share(clock) - made[j].low) / (made[j].high - made[j].low)
+            for j, clock in zip(i.tolist(), at.tolist(), strict=True)
+        ]
+        return i + np.clip(shares, 0.0, 1.0)
+
     starts = np.array(clocks)
     quintic = np.array([law.kind == 1.0 for law in laws])
-    return Segments(tuple(made), starts[:-1], np.diff(starts), quintic, when=when)
+    return Segments(tuple(made), starts[:-1], np.diff(starts), quintic, when=when, where=where)
 
 
 @dataclass(frozen=True)
