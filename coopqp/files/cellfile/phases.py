@@ -86,7 +86,7 @@ class FollowsJointsTable(Table):
 
     kind: Literal["follows_joints"]
     positions_deg: Rows | None = Field(
-        default=None, description="rows of joint positions, sliding joints in m; the first is where the arm is"
+        default=None, description="rows of joint positions; the first is where the arm is"
     )
     positions_rad: Rows | None = Field(default=None, description="the same in radians")
     durations_s: Annotated[list[Seconds], Len(1, 1000)] = Field(description="duration of each way at full rate")
@@ -98,7 +98,7 @@ class FollowsJointsTable(Table):
 
 
 class FollowsTable(Table):
-    """The tool follows a timed path in a frame on the object, as `coopqp plan` writes it of the other kinds."""
+    """The tool follows a timed path in a frame on the object, as `coopqp plan` writes it."""
 
     kind: Literal["follows"]
     frame: PlacementTable = Field(description="the placement on the object in whose axes the path is")
@@ -106,9 +106,7 @@ class FollowsTable(Table):
         description="the path of a frame; only its motion from its start counts"
     )
     holds: bool = Field(default=True, description="whether the arm holds the object meanwhile")
-    holds_after: bool | None = Field(
-        default=None, description="whether it does after the phase; by default as during it"
-    )
+    holds_after: bool | None = Field(default=None, description="whether it does after the phase")
 
 
 RoleTable = Annotated[
@@ -130,15 +128,15 @@ class PhaseLineTable(LineTable):
     """A straight line with a turn about one axis, from where the phase before ends."""
 
     start: PlacementTable | None = Field(  # type: ignore[assignment]
-        default=None, description="pose at the start; by default where the phase before ends"
+        default=None, description="pose at the start (where the phase before ends)"
     )
 
 
 class PhaseSearchTable(SearchTable):
-    """A way round what stands between where the phase before ends and a goal, searched when the file is read."""
+    """A way round from where the phase before ends to a goal, searched when the file is read."""
 
     start: PlacementTable | None = Field(  # type: ignore[assignment]
-        default=None, description="pose at the start; by default where the phase before ends"
+        default=None, description="pose at the start (where the phase before ends)"
     )
 
 
