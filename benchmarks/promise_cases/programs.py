@@ -6,6 +6,7 @@ and ways that were asked for, not from the program's own numbers.
 
 from __future__ import annotations
 
+import importlib.util
 import itertools
 import time
 from collections.abc import Callable, Iterator
@@ -14,7 +15,8 @@ from dataclasses import replace
 import numpy as np
 import pinocchio as pin
 
-from coopqp import ControlStep, LinePath, QPController, RobotCell, Status, check_path
+from coopqp import ControlStep, Grasp, LinePath, QPController, RobotCell, Status, check_path, simulate
+from coopqp.control import couple
 from coopqp.planning import time_program
 from coopqp.programs import Phase, Program, Role, Slides, Travels, Turns, Waits
 from coopqp.scenarios import (
@@ -29,6 +31,7 @@ from coopqp.scenarios import (
     positioner,
     robot_arm,
 )
+from coopqp.simulation import PhysicsPlant
 from promise_cases import Promise
 
 _DT, _ACCELERATION = 0.002, 5.0
@@ -151,6 +154,33 @@ def _tools(quick: bool) -> Iterator[Promise]:
         judge = _Judge(task, _program_places(task))
         _to_the_end(_started(task, 0.005 if make is not draw_on_plate else _DT), judge)
         yield Promise(f"tool on a part that others carry, {make.__name__}: from its place", 1e6 * judge.path, 0.5, "µm")
+
+
+def _coupled(quick: bool) -> Iterator[Promise]:
+    """Two groups on two clocks: how far the second's tool is from its place, over what the steps say."""
+    del quick
+    task, index = _lift(law="linear"), ([0, 1], [2])
+    X, x = task.grasp.T_object_tool, task.cell.positions(task.q_start)
+    controllers = []
+    for own, acceleration in zip(index, (_ACCELERATION, 0.1 * _ACCELERATION), strict=True):
+        cell = RobotCell([task.cell.arms[k] for k in own]).with_limits(acceleration=acceleration)
+        controller = QPController(cell, Grasp(tuple(X[k] for k in own)), task.path, dt=_DT)
+        controller.reset(cell.configuration(np.concatenate([x[task.cell.v_slices[k]] for k in own])))
+        controllers.append(controller)
+    coupled, worst, off = couple(*controllers), 0.0, 0.0
+    for _ in range(5000):
+        steps, points = coupled.step(), []
+        for controller, step in zip(controllers, steps, strict=True):
+            data = controller.cell.model.createData()
+            pin.framesForwardKinematics(controller.cell.model, data, step.q_next)
+            view = data.oMf[controller.cell.tool_frames[0]] * controller.grasp.T_object_tool[0].inverse()
+            points.append((view * X[2]).translation)
+        far = float(np.linalg.norm(points[0] - points[1]))
+        off, worst = max(off, far), max(worst, (far - 1e-6) / max(coupled.bound, 1e-9))
+        if all(step.finished for step in steps):
+            break
+    yield Promise("two groups coupled by overrides, a tenth of the acceleration: off by", 1e3 * off, 3.1, "mm")
+    yield Promise("two groups coupled by overrides: distance over what the steps say", worst, 1.0, "")
 
 
 def _regrasped(k: int, *, rests: bool) -> Scenario:
@@ -287,6 +317,37 @@ def _planned(quick: bool) -> Iterator[Promise]:
     yield Promise("run of a planned program: chain, path", 1e6 * broken, 0.5, "µm")
 
 
+def _in_engine(quick: bool) -> Iterator[Promise]:
+    """Largest force of an arm on the object after an arm has attached, over the largest before it let go."""
+    del quick
+    if importlib.util.find_spec("mujoco") is None:
+        return
+    task = _lift()
+    X, here = task.grasp.T_object_tool[2], task.path.pose(0.0)
+    up = LinePath.displaced(here, translation=(0.0, 0.0, 0.1), duration=2.0)
+    on = LinePath.displaced(up.goal, translation=(0.0, 0.0, 0.1), duration=2.0)
+    over = {"slave_2": Travels(to=pin.SE3(X.rotation, X.translation + np.array([-0.1, 0.0, 0.0])))}
+    phases = [Phase("up", path=up), Phase("over", arms=over, duration=2.0), Phase("on", path=on)]
+    three = replace(task, path=Program(task.cell, task.grasp, phases))
+    for name, one in (("3 → 2 → 3", three), ("hand_over, the leader under way", hand_over())):
+        assert one.path.grasps is not None
+        (leaves, attaches), plant = one.path.grasps.changes, PhysicsPlant.of(one)
+        before = after = 0.0
+
+        def see(step: ControlStep, plant: PhysicsPlant = plant, ends: tuple[float, float] = (leaves, attaches)) -> None:
+            nonlocal before, after
+            most = float(np.linalg.norm(plant.wrenches()[:, :3], axis=1).max())
+            if step.clock_next <= ends[0]:
+                before = max(before, most)
+            elif step.clock >= ends[1]:
+                after = max(after, most)
+
+        controller = QPController(one.cell, one.grasp, one.path, dt=0.004)
+        recording = simulate(controller, plant, q_start=one.q_start, observe=see, settle=0.5)
+        ratio = after / before if recording.finished else np.inf
+        yield Promise(f"{name} in the engine: peak force after attaching, over before", ratio, 1.3, "")
+
+
 def _pins(quick: bool) -> Iterator[Promise]:
     del quick
     task = five_joint_pins()
@@ -332,5 +393,5 @@ def _costs(quick: bool) -> Iterator[Promise]:
 
 def promises(quick: bool) -> Iterator[Promise]:
     """Promises about programs."""
-    for part in (_pliers, _wide, _tools, _regrasp, _gates, _checked, _planned, _pins, _costs):
+    for part in (_pliers, _wide, _tools, _coupled, _regrasp, _gates, _checked, _planned, _in_engine, _pins, _costs):
         yield from part(quick)

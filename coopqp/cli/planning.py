@@ -7,6 +7,7 @@ import math
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from coopqp.cli.planned_program import run_program
 from coopqp.cli.terminal import add_command, print_table, print_written, reporter, say
 from coopqp.errors import CoopqpError, UndecidedError, UnreachableError, cause_of, printable
 from coopqp.output import check_folder, check_unused, write_files
@@ -37,7 +38,7 @@ def add_plan(commands: Any) -> None:
         "draw the speed profile. With a collision scene the plan is checked as by `coopqp check` before it is written.",
         epilog="Exit status: 0 with a plan; 2 for bad input; 3 where an arm has no start or cannot follow the path, or "
         "bodies come too close; 4 where that is not decided, or the computation fails. The time law of the file's path "
-        "is ignored.",
+        "is ignored. Of a program each phase is timed; it has no picture.",
     )
     parser.add_argument("cell", type=Path, metavar="CELL", help="the cell file, TOML or YAML")
     parser.add_argument("--out", type=Path, metavar="DIR", required=True, help="folder of plan.toml and speed.png")
@@ -73,6 +74,7 @@ def _run(arguments: argparse.Namespace) -> int:
     from coopqp.files.cellfile import load_cell_file, require_readers
     from coopqp.planning.parametrise import require_toppra
     from coopqp.planning.timing import SHARE
+    from coopqp.programs.program import Program
     from coopqp.visualization.profile import profile_figure
     from coopqp.visualization.style import figure_bytes, require_matplotlib
 
@@ -95,6 +97,8 @@ def _run(arguments: argparse.Namespace) -> int:
         q_start = run.scenario.q_start if arguments.starts == 1 else None
         share = SHARE if arguments.share is None else arguments.share
         scene = run.scene if run.settings.collision is not None else None
+        if isinstance(run.scenario.path, Program):
+            return run_program(run, arguments, share, folder)
         made = _plan(run, arguments, share, q_start, scene)
         optimum = _plan(run, arguments, 1.0, made.q_start, None).path.duration
         report.note("drawing the speed profile")

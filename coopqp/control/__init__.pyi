@@ -1,3 +1,4 @@
+from .coupling import Coupling as Coupling, couple as couple
 from .interface import (
     Controller as Controller,
     ControlStep as ControlStep,

@@ -13,6 +13,7 @@ import time
 import warnings
 from collections import deque
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from typing import Any, final
 
 import numpy as np
@@ -93,7 +94,9 @@ class QPController(OperatorCalls):
         self.options = as_options(QPOptions, options, "QPController: options")
         self._checked = Constraints(cell, constraints)
         self.constraints = self._checked.given
-        self._loop = make_loop(cell, grasp, dt=self.dt, options=self.options, constraints=self._checked)
+        leads = isinstance(motion := getattr(path, "grasps", None), GraspMotion) and motion.leads
+        run_by = replace(self.options, kernel="plain") if leads and self.options.kernel == "auto" else self.options
+        self._loop = make_loop(cell, grasp, dt=self.dt, options=run_by, constraints=self._checked)
         self.kernel, self.solver = self._loop.kernel, self._loop.solver.name
         self._operator = Operator(cell, grasp, self._loop, path, dt=self.dt, options=self.options)
         self._started = self._outside = self._minded = False
@@ -136,6 +139,12 @@ class QPController(OperatorCalls):
                 "QPController: constraints",
                 "Let the first arm of the cell hold the object at rest on it, or give no Clearance.",
             )
+        if grasps.leads and not isinstance(self._loop, PlainLoop):
+            raise InvalidInputError(
+                "an arm follows its joints' own way, which the compiled kernel does not know",
+                "QPController: path",
+                'Build the controller with this path, or with QPOptions(kernel="plain").',
+            )
         if self._shift is not None and np.any(self._shift):
             raise InvalidInputError(
                 "its tools move on the object, and the grasps were shifted", "QPController: path", "Shift them back."
@@ -154,7 +163,7 @@ class QPController(OperatorCalls):
             and operator.quiet
             and (not self.constraints or self._checked.certified is not None)
         ):
-            self._fast = self._glancing if self._glances else self._loop.step
+            self._fast = self._glancing() if self._glances else self._loop.step
         if self._waiting:
             self._fast = None
 
@@ -577,15 +586,20 @@ class QPController(OperatorCalls):
             self._fast = None
         return step
 
-    def _glancing(self, q_measured: Any, dt: Any) -> ControlStep | None:
+    def _glancing(self) -> Callable[[Any, Any], ControlStep | None]:
         """The core's own step, and a moment's look after it."""
-        step: ControlStep | None = self._loop.step(q_measured, dt)  # type: ignore[union-attr]
-        operator = self._operator
-        if operator.looks_in > 1:
-            operator.looks_in -= 1
-        elif step is not None and operator.passed(step):
-            self._fast = None
-        return step
+        make, operator = self._loop.step, self._operator  # type: ignore[union-attr]
+
+        def glancing(q_measured: Any, dt: Any) -> ControlStep | None:
+            step: ControlStep | None = make(q_measured, dt)
+            left = operator.looks_in
+            if left > 1:
+                operator.looks_in = left - 1
+            elif step is not None and operator.passed(step):
+                self._fast = None
+            return step
+
+        return glancing
 
     def look_at(self, step: ControlStep) -> None:
         """After each step of the core's own: note what an operator's way needs."""

@@ -39,6 +39,8 @@ class Chain:
             does not depend on it.
         redundancy: joints beyond six for each arm, summed over the parts.
         deficient: indices of arms with fewer than six joints.
+        apart: indices of arms that follow their joints' own way and move no object: all their motion is null-space
+            motion, and their view of the object is that of another arm.
         jacobians: J_k of each arm (6, n_k), after :meth:`evaluate`.
         inverses: (pseudo-)inverses of the parts' Jacobians (n, 6 K), K arms, after :meth:`invert`.
         singular: an arm was near a singularity there.
@@ -53,15 +55,24 @@ class Chain:
         self.moving_columns, self.parts, self.part_columns = moving_columns(cell), parts(cell), part_columns(cell)
         self.scale = _joint_units(cell)
         self.redundancy = sum(self._further)
-        self.deficient = tuple(k for k, columns in enumerate(self.moving_columns) if len(columns) < 6)
+        self.apart: tuple[int, ...] = ()
         self.jacobians: list[Array] = []
         self.inverses: list[Array] = []
         self.singular = False
 
     @property
+    def _parts_apart(self) -> list[int]:
+        return [i for i, part in enumerate(self.parts) if part[0] in self.apart]
+
+    @property
     def _further(self) -> list[int]:
         """Joints of each part that its tools do not need."""
         return [max(len(c) - 6 * len(part), 0) for part, c in zip(self.parts, self.part_columns, strict=True)]
+
+    @property
+    def deficient(self) -> tuple[int, ...]:
+        """See above."""
+        return tuple(k for k, c in enumerate(self.moving_columns) if len(c) < 6 and k not in self.apart)
 
     def shift_grasp(self, shift: Array) -> None:
         """The tools hold the object shifted from now on: ``exp(d_k) X_k`` for each d_k of (N, 6) [m, rad]."""
@@ -78,7 +89,10 @@ class Chain:
     def carried(self, q: Array) -> list[pin.SE3]:
         """``O_k`` at ``q``: the pose of the object in the world as each arm carries it."""
         pin.forwardKinematics(self.cell.model, self._data, q)
-        return [self._data.oMi[j] * Y for j, Y in zip(self.cell.tool_joints, self._T_joint_object, strict=True)]
+        O = [self._data.oMi[j] * Y for j, Y in zip(self.cell.tool_joints, self._T_joint_object, strict=True)]
+        for k in self.apart:
+            O[k] = O[next(i for i in range(self.n_arms) if i not in self.apart)]
+        return O
 
     def errors(self, O: list[pin.SE3], reference: pin.SE3) -> Array:
         """``e_k = log(R⁻¹ O_k)``, shape (N, 6) [m, rad], from :meth:`carried` and the reference pose R."""
@@ -91,6 +105,8 @@ class Chain:
         J = pin.computeJointJacobians(self.cell.model, self._data, q).reshape(6, -1)  # flat for one joint
         J = twist_at(J, about)
         self.jacobians = [J[:, columns] for columns in self.moving_columns]
+        for k in self.apart:
+            self.jacobians[k] = np.zeros_like(self.jacobians[k])
 
     def linearise(self, q: Array, about: Array) -> None:
         """Evaluate the Jacobians at ``q`` about a point and invert them."""
@@ -119,6 +135,8 @@ class Chain:
         """
         units = [self.scale[columns] for columns in self.part_columns]
         self.inverses = [_inverse(self.part_jacobian(i), unit) for i, unit in enumerate(units)]
+        for i in self._parts_apart:
+            self.inverses[i] = np.zeros_like(self.inverses[i])
         self.singular = not all(np.abs(inverse).max() < LARGE_INVERSE for inverse in self.inverses)
 
     def joint_velocities(self, W: Array) -> Array:
@@ -158,7 +176,7 @@ class Chain:
         out = np.full(self.nv, FAR_EDGE)
         for i, columns in enumerate(self.part_columns):
             J = self.part_jacobian(i)
-            if len(columns) < len(J):
+            if len(columns) < len(J) or self.parts[i][0] in self.apart:
                 continue
             eigenvalues, eigenvectors = np.linalg.eigh(J @ J.T)
             least, u = max(eigenvalues[0], 0.0), eigenvectors[:, 0]
@@ -193,7 +211,7 @@ class Chain:
         """The part of joint velocities ``v`` (nv,) that does not move the object: ``v − A⁺ A v``."""
         out = np.zeros(self.nv)
         for i, (inverse, columns) in enumerate(zip(self.inverses, self.part_columns, strict=True)):
-            if self._further[i]:
+            if self._further[i] or self.parts[i][0] in self.apart:
                 out[columns] = v[columns] - inverse @ (self.part_jacobian(i) @ v[columns])
         return out
 
@@ -203,6 +221,9 @@ class Chain:
         for i, (extra, columns) in enumerate(zip(self._further, self.part_columns, strict=True)):
             if extra:
                 J, unit = self.part_jacobian(i), self.scale[columns]
+                if self.parts[i][0] in self.apart:  # its motion is given
+                    c += extra
+                    continue
                 basis[columns, c : c + extra] = unit[:, None] * np.linalg.svd(J * unit)[2][len(J) :].T
                 c += extra
         return basis

@@ -124,7 +124,8 @@ CONFIG = _fields(
 )
 STATE = _fields(
     "loop Loop; positions nv; velocity nv; before nv; predicted 6 * n; foreseen 6 * n; mismatch 6 * n; "
-    "grasp_shift 6 * n; asked_shift 6 * n; drift 6; correcting 6; posture_target nv; quiet_centre nv; quiet_reach nv; "
+    "grasp_shift 6 * n; asked_shift 6 * n; drift 6; latched 6; changed_at 1; correcting 6; "
+    "posture_target nv; quiet_centre nv; quiet_reach nv; "
     "quiet_ahead_centre nv; quiet_ahead_reach nv; watch Watch; deviation 6 * n; away 6 * n; away_step 6 * n; noise n; "
     "stalled n; widest n; lost n; seen nq; history 2 * nv * past; slow_drift 6 * n; lag 6 * n; apart 6 * n; "
     "drift_last nv; lag_base 6; lag_told 6; lag_way 6; deflection nv; way nv; commanded nv; forces n; "

@@ -68,7 +68,7 @@ static int let_in(Core *c, const double *positions, const double *q) {
         const Vector6 found = common_error(c, away);
         away -= c->errors;
         watch_sample(c, positions, q, away, h);
-        c->drift += h / (h + c->options->measurement_time) * (found - commanded - c->drift);
+        c->drift += h / (h + c->options->measurement_time) * (found - commanded + c->latched - c->drift);
         c->loop->drifted = 1.0;
     }
     c->measured = (p->hold != 0.0 ? 0.0 : corrects * p->watch_cap) * (commanded + c->drift);
@@ -633,7 +633,7 @@ static void start(Core *c, const double *positions) {
     c->loop->ease = rate_asked(c) < c->options->blocked_rate ? 0.0 : 1.0;
     c->positions = Given(positions, c->joints);
     c->velocity.setZero(), c->before.setZero();
-    c->drift.setZero(), c->correcting.setZero();
+    c->drift.setZero(), c->latched.setZero(), c->correcting.setZero();
     c->loop->last_dt = c->options->nominal_dt;
     watch_reset(c);
 }

@@ -1,4 +1,5 @@
 from .geometry import MotionBounds as MotionBounds, PathGeometry as PathGeometry, Piece as Piece
+from .joint_path import JointPath as JointPath
 from .path import (
     HoldPath as HoldPath,
     LinePath as LinePath,

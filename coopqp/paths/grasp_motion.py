@@ -7,8 +7,9 @@ the library's own paths: an arc about a pin at P is ``P S(τ) P⁻¹`` with a tu
 
 from __future__ import annotations
 
+import itertools
 from bisect import bisect_right
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import final
 
@@ -16,6 +17,7 @@ import numpy as np
 import pinocchio as pin
 
 from coopqp.native.constants import GRASP_PIECE
+from coopqp.paths.joint_path import JointPiece
 from coopqp.paths.time_law import TimeLaw
 from coopqp.spatial import Array, adjoint
 
@@ -25,6 +27,8 @@ _START, _DURATION, _LAW = 18, 19, 20
 LAWS = (0.0, 1.0, 3.0)
 #: Twists that differ by more than this make a corner [m/s, rad/s].
 _CORNER = 1e-9
+#: How far from its grasp a tool may be where it attaches [m, rad].
+ATTACH_M, ATTACH_RAD = 0.002, 0.02
 
 
 @final
@@ -93,10 +97,15 @@ class GraspMotion:
         arms: the pieces of each arm's motion in the order of their clocks; none where its grasp is fixed. Between two
             pieces, and after the last one, a tool rests.
         contact: clocks [s] from which on the arms hold, or not (N,), in their order; the first is at 0.
+        attach_m, attach_rad: how far from its grasp a tool may be where it attaches [m, rad].
+        led: of each arm the parts on which it follows its joints' own way; empty where no arm does.
     """
 
     arms: tuple[tuple[GraspPiece, ...], ...]
     contact: tuple[tuple[float, tuple[bool, ...]], ...]
+    attach_m: float = ATTACH_M
+    attach_rad: float = ATTACH_RAD
+    led: tuple[tuple[JointPiece, ...], ...] = ()
 
     def __len__(self) -> int:
         return len(self.arms)
@@ -115,9 +124,24 @@ class GraspMotion:
         pieces = self.arms[k]
         return pieces[max(bisect_right(self._starts[k], clock) - 1, 0)] if pieces else None
 
+    @property
+    def leads(self) -> bool:
+        """Whether an arm follows its joints' own way somewhere."""
+        return any(self.led)
+
+    def leading(self, k: int, clock: float) -> JointPiece | None:
+        """The way of its joints that arm k follows at a clock [s]; None where it goes with the object."""
+        if not self.led:
+            return None
+        return next((piece for piece in self.led[k] if piece.start <= clock < piece.end), None)
+
+    def apart(self, clock: float) -> tuple[int, ...]:
+        """The arms that follow their joints' own way at a clock [s]."""
+        return tuple(k for k in range(len(self.led)) if self.leading(k, clock) is not None)
+
     def moved(self, k: int, clock: float) -> pin.SE3:
         """M of arm k at ``clock`` [s]."""
-        piece = self.piece(k, clock)
+        piece = self.leading(k, clock) or self.piece(k, clock)
         return pin.SE3.Identity() if piece is None else piece.pose(clock)
 
     def placements(self, clock: float) -> tuple[pin.SE3, ...]:
@@ -128,7 +152,7 @@ class GraspMotion:
         """``M′ M⁻¹`` of all arms at ``clock`` (N, 6) [m/s, rad/s], in the object frame."""
         found = np.zeros((len(self), 6))
         for k in range(len(self)):
-            piece = self.piece(k, clock)
+            piece = self.leading(k, clock) or self.piece(k, clock)
             if piece is not None:
                 found[k] = piece.twist(clock)
         return found
@@ -142,6 +166,23 @@ class GraspMotion:
         return self.contact[max(bisect_right([at for at, _ in self.contact], clock + 1e-12) - 1, 0)][1]
 
     @cached_property
+    def holding_fixed(self) -> bool:
+        """Whether no tool moves on the object while its arm holds it."""
+        for k, pieces in enumerate(self.arms):
+            moving = [piece for piece in pieces if np.abs(piece.segment[12:18]).max() > 0.0]
+            for piece in moving:
+                marks = [at for at in self.changes if piece.start < at < piece.end]
+                if any(self.holds(clock)[k] for clock in (piece.start, *marks)):
+                    return False
+        return True
+
+    @cached_property
+    def changes(self) -> tuple[float, ...]:
+        """Clocks [s] at which other arms hold the object than before."""
+        pairs = itertools.pairwise(self.contact)
+        return tuple(at for (_, before), (at, holds) in pairs if holds != before)
+
+    @cached_property
     def breakpoints(self) -> tuple[float, ...]:
         """Clocks [s] at which the twist of a tool on the object jumps."""
         found = set[float]()
@@ -152,6 +193,7 @@ class GraspMotion:
                 assert after is not None
                 if np.abs(after.twist(at + 1e-12) - before.twist(at - 1e-9)).max() > _CORNER + 1e-6:
                     found.add(at)
+        found |= {clock for ways in self.led for way in ways for clock in (way.start, way.end)}
         return tuple(sorted(found))
 
     def section(self, begin: float, end: float) -> GraspMotion:
@@ -171,12 +213,16 @@ class GraspMotion:
         else:  # what held before each mark holds after it on the way back
             contact = [(0.0, self.holds(begin - 1e-9))]
             contact += [(begin - at, self.holds(at - 1e-9)) for at, _ in reversed(marks)]
-        return GraspMotion(tuple(arms), tuple(contact))
+        led = tuple(
+            tuple(way.section(begin, sense) for way in ways if way.start < high and way.end > low)[::sense]
+            for ways in self.led
+        )
+        return replace(self, arms=tuple(arms), contact=tuple(contact), led=led)
 
     def still(self, clock: float) -> GraspMotion:
         """All tools at rest on the object where they are at a clock [s]."""
         arms = tuple((_still(self.moved(k, clock)),) if pieces else () for k, pieces in enumerate(self.arms))
-        return GraspMotion(arms, ((0.0, self.holds(clock)),))
+        return replace(self, arms=arms, contact=((0.0, self.holds(clock)),), led=())
 
     def packed(self) -> Array:
         """As numbers for the compiled core: how many pieces each arm has (N), then 53 a piece: A, B, the segment."""
@@ -189,7 +235,12 @@ class GraspMotion:
 
 
 def _still(M: pin.SE3) -> GraspPiece:
-    segment = np.concatenate([np.eye(3).ravel(), np.zeros(9), [0.0, 1.0, 1.0], np.zeros(8)])
+    return still_from(0.0, M)
+
+
+def still_from(clock: float, M: pin.SE3) -> GraspPiece:
+    """A piece of a tool that rests at M from a clock on [s]."""
+    segment = np.concatenate([np.eye(3).ravel(), np.zeros(9), [clock, 1.0, 1.0], np.zeros(8)])
     return GraspPiece(M, pin.SE3.Identity(), segment)
 
 

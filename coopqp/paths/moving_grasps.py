@@ -33,6 +33,17 @@ def refuse_motion(path: ObjectPath, where: str, remedy: str) -> None:
         raise InvalidInputError("arms let go or move on the object along this path", where, remedy)
 
 
+def refuse_ways(path: ObjectPath, where: str, remedy: str) -> None:
+    """Refuse a path along which an arm follows a way of its joints, or let it go.
+
+    Raises:
+        InvalidInputError: it is one.
+    """
+    motion = getattr(path, "grasps", None)
+    if motion is not None and motion.leads:
+        raise InvalidInputError("an arm follows a way of its joints along this path", where, remedy)
+
+
 def pieces_of(S: ObjectPath, *, start: float, before: pin.SE3, frame: pin.SE3, where: str) -> tuple[GraspPiece, ...]:
     """The pieces of a motion along a path S from a clock on.
 

@@ -10,6 +10,7 @@ from .remedies import find_remedies as find_remedies
 from .route.edges import SearchedBodies as SearchedBodies
 from .route.finding import find_path as find_path
 from .route.goals import ArmGoal as ArmGoal, FreeTurn as FreeTurn, TurnedGoal as TurnedGoal
+from .route.of_phase import Search as Search
 from .route.replanner import Replanner as Replanner
 from .route.route import Route as Route, RouteVerdict as RouteVerdict
 from .starts import ArmStart as ArmStart, Start as Start, find_start as find_start

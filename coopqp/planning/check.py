@@ -25,7 +25,7 @@ from coopqp.model.grasp import Grasp
 from coopqp.paths.elbows import Elbows
 from coopqp.paths.geometry import PathGeometry
 from coopqp.paths.guarded import GuardedPath
-from coopqp.paths.moving_grasps import HOLD_ON, refuse_motion
+from coopqp.paths.moving_grasps import HOLD_ON, refuse_motion, refuse_ways
 from coopqp.paths.path import ObjectPath
 from coopqp.paths.timed import TimedPath
 from coopqp.planning.arm_check import ArmCheck, UndecidedInterval, arm_record
@@ -44,6 +44,8 @@ from coopqp.planning.branch_checks import (
 )
 from coopqp.planning.clearance_check import Bodies, ClearanceCheck, check_scene
 from coopqp.planning.joint_trajectories import CellTrajectory
+from coopqp.planning.joint_way_check import check_with_ways, ways_of
+from coopqp.planning.moving_trajectory import MovingTrajectory
 from coopqp.planning.phase_checks import PhaseCheck, explained, phase_checks
 from coopqp.planning.segments import Segments, segments_of
 from coopqp.planning.shared_check import check_group, stands_at
@@ -255,39 +257,79 @@ def check_path(
     seed_factor = as_count(seed_factor, "check_path: seed_factor")
     check_scene(cell, scene, "check_path: scene")
     GuardedPath(path).check("check_path: path")
-    if tools_move(path) and scene is not None:
-        raise InvalidInputError(
-            "tools move on the object along the path",
-            "check_path: scene",
-            "Check the path without a scene; a run keeps clear with Clearance.",
-        )
+    moves = tools_move(path)
+    if moves and scene is not None:
+        _check_with_scene(cell, path)
     if cell.groups:
         refuse_motion(path, "check_path: path", HOLD_ON)
+    if q_start is None:
+        refuse_ways(path, "check_path: q_start", "Give the start: where the way begins decides its branch.")
     samples, segments = sample_path(path, grasp), segments_of(path)
     start = None if q_start is None else cell.check_configuration(q_start, "check_path: q_start")
     arms: list[ArmCheck] = []
+    tools: list[Segments | None] = []
     grouped, shared = _groups(cell, grasp, samples, segments, start)
     for k, (arm, X) in enumerate(zip(cell.arms, grasp.T_object_tool, strict=True)):
         kinematics, own = ArmKinematics(arm), samples.of_arm(k)
-        tool = tool_on_object(path, own, k, X) if tools_move(path) else tool_path(segments, own, X)
+        tool = tool_on_object(path, own, k, X) if moves else tool_path(segments, own, X)
+        tools.append(tool.segments)
         if k in grouped:
             arms.append(grouped[k])
+        elif ways_of(path, k):
+            assert start is not None
+            positions = cell.positions(start)[cell.columns[k][kinematics.columns]]
+            if ways_of(path, k)[0].start > 0.0:
+                positions = _exact_at_start(kinematics, tool, positions)[0]
+            branch = check_with_ways(kinematics, path, own, k, X, positions)
+            arms.append(_arm_check(kinematics, branch, [branch], None))
         elif start is None:
             arms.append(_every_branch(kinematics, own, X, tool, seed_factor))
         else:
             positions = cell.positions(start)[cell.columns[k][kinematics.columns]]
             arms.append(_given_branch(kinematics, tool, positions))
     if start is None and all(arm.chosen is not None for arm in arms):
-        if scene is not None and not cell.groups:
+        if scene is not None and not cell.groups and not moves:
             arms = _clear(cell, grasp, samples, arms, scene)
         start = _joined(cell, grasp, samples.poses[0], arms)
     verdict, clearance = worst([arm.verdict for arm in arms]), None
-    if scene is not None and start is not None and verdict is not PathVerdict.INFEASIBLE:
+    if scene is not None and moves and start is not None and verdict is not PathVerdict.INFEASIBLE:
+        clearance = _distances_of_tools(cell, path, arms, tools, scene, cell.positions(start))
+        verdict = worst([verdict, clearance.verdict])
+    elif scene is not None and start is not None and verdict is not PathVerdict.INFEASIBLE:
         arms, clearance = _distances(
             cell, grasp, path, samples, segments, arms, scene, cell.positions(start), any_start=q_start is None
         )
     found = _result(cell, grasp, path, arms, start, clearance, scene, given=q_start is not None)
     return replace(found, shared=shared) if shared else found
+
+
+def _check_with_scene(cell: RobotCell, path: ObjectPath) -> None:
+    """Refuse what a scene cannot be placed for: it places the object by the first arm's tool.
+
+    Raises:
+        InvalidInputError: that tool moves on the object, or an arm follows a way of its joints.
+    """
+    where, motion = "check_path: scene", path.grasps
+    refuse_ways(path, where, "Check the path without a scene; a run keeps clear with Clearance.")
+    if motion is not None and motion.arms[0]:
+        raise InvalidInputError(
+            f"the tool of arm '{cell.arm_names[0]}' moves on the object, and a scene places the object by it",
+            where,
+            "Let the first arm of the cell hold the object at rest on it, or check the path without a scene.",
+        )
+
+
+def _distances_of_tools(
+    cell: RobotCell,
+    path: ObjectPath,
+    arms: Sequence[ArmCheck],
+    tools: Sequence[Segments | None],
+    scene: Bodies,
+    rest: Array,
+) -> ClearanceCheck:
+    """Distances where tools move on the object."""
+    trajectories = [arm.chosen.trajectory for arm in arms if arm.chosen is not None]
+    return scene.along(MovingTrajectory(cell, path, trajectories, tools, rest))
 
 
 def _groups(

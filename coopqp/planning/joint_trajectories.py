@@ -7,7 +7,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import final
 
 import numpy as np
 import numpy.typing as npt
@@ -76,7 +75,6 @@ class ArmTrajectory:
         return np.clip(i, 0, len(self.places) - 2)
 
 
-@final
 class CellTrajectory:
     """Joint trajectories of all arms of a cell.
 

@@ -20,6 +20,7 @@ from coopqp.model.cell import RobotCell
 from coopqp.model.grasp import Grasp
 from coopqp.native.constants import SEGMENT
 from coopqp.paths.geometry import PathGeometry, Straight
+from coopqp.paths.moving_grasps import refuse_ways
 from coopqp.paths.path import HoldPath, ObjectPath
 from coopqp.paths.timed import SpeedProfile, TimedPath
 from coopqp.planning.knots import Knots, arm_knots
@@ -93,6 +94,7 @@ def time_program(
     require_toppra()
     require(program, Program, f"{where}: program", "Give a Program.")
     grasp.check_arms(cell)
+    refuse_ways(program, f"{where}: program", "Time the phases before and after it.")
     share, count = as_scalar(share, f"{where}: share", high=1.0), as_count(knots, f"{where}: knots")
     if not np.isfinite(cell.limits.acceleration).all():
         name = cell.joint_names[int(np.flatnonzero(~np.isfinite(cell.limits.acceleration))[0])]
@@ -107,8 +109,9 @@ def time_program(
             if part.moves:
                 profile, x = _timed(cell, part, x, share, count, phase.name)
             name = phase.name if len(parts) == 1 else f"{phase.name} {i + 1}"
-            phases.append(_phase(cell, phase, part, profile, name, last=part is parts[-1]))
-    made = Program(cell, grasp, phases, signals=dict(program.signals))
+            phases.append(_phase(cell, phase, part, profile, share, name, last=part is parts[-1]))
+    reach = {"attach_m": program.attach_m, "attach_rad": program.attach_rad}
+    made = Program(cell, grasp, phases, signals=dict(program.signals), **reach)
     made.planned_share = share
     return made
 
@@ -195,6 +198,7 @@ def _phase(
     phase: Phase,
     part: _Stretch,
     profile: SpeedProfile | None,
+    share: float,
     name: str,
     *,
     last: bool,
@@ -205,12 +209,12 @@ def _phase(
         role = phase.arms.get(arm, Holds())
         after = role.holds_after if last else None
         if profile is not None and np.abs(piece.tool[12:18]).max() > 0.0:
-            arms[arm] = Follows(_along(piece.tool, profile), piece.A, holds=role.holds, holds_after=after)
+            arms[arm] = Follows(_along(piece.tool, profile, share), piece.A, holds=role.holds, holds_after=after)
         elif not role.holds:
             still = pin.SE3.Identity()
             arms[arm] = Waits() if after is None else Follows(_resting(part, profile), still, False, after)
         if profile is not None and np.abs(piece.object[12:18]).max() > 0.0:
-            path = _along(piece.object, profile)
+            path = _along(piece.object, profile, share)
     seconds = part.end - part.start if profile is None else profile.duration
     until = phase.until if last else None
     return Phase(name, path=path, duration=None if path is not None else seconds, arms=arms, until=until)
@@ -221,7 +225,7 @@ def _resting(part: _Stretch, profile: SpeedProfile | None) -> ObjectPath:
     return HoldPath(pin.SE3.Identity(), duration=seconds)
 
 
-def _along(segment: Array, profile: SpeedProfile) -> TimedPath:
+def _along(segment: Array, profile: SpeedProfile, share: float) -> TimedPath:
     """A segment by a profile over its share."""
     line = Straight(segment[:9].reshape(3, 3), segment[9:12], segment[12:15], segment[15:18], 1.0)
-    return TimedPath(PathGeometry((line,)), profile)
+    return TimedPath(PathGeometry((line,)), profile, planned_share=share)

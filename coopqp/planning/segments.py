@@ -38,6 +38,7 @@ class Segments:
         start, duration: first clock and duration of each (S,) [s].
         quintic: True where the time law is quintic, else linear (S,).
         when: of a path with a speed profile of its own, its ``clocks`` of the motion [m]; None for time laws.
+        where: its reverse: numbers of segments, and shares of them, at clocks [s]; None where nobody asks.
     """
 
     pieces: tuple[Piece, ...]
@@ -45,6 +46,7 @@ class Segments:
     duration: Array
     quintic: npt.NDArray[np.bool_]
     when: Callable[[Array], Array] | None = None
+    where: Callable[[Array], Array] | None = None
 
     def __len__(self) -> int:
         return len(self.pieces)

@@ -20,7 +20,7 @@ from coopqp.model.cell import RobotCell
 from coopqp.model.chain import Chain
 from coopqp.model.grasp import Grasp
 from coopqp.model.inverse_kinematics import newton
-from coopqp.paths.moving_grasps import HOLD_ON, refuse_motion
+from coopqp.paths.moving_grasps import HOLD_ON, refuse_motion, refuse_ways
 from coopqp.paths.path import ObjectPath
 from coopqp.planning.arm_starts import ArmOnPath, BranchAlongPath, arm_on_path, arm_on_shared, rolled, trouble
 from coopqp.planning.clearance_check import Bodies, check_scene
@@ -149,6 +149,7 @@ def find_start(
         raise InvalidInputError("free_roll and a scene", "find_start", "A scene is of one grasp: give one of both.")
     if cell.groups:
         refuse_motion(path, "find_start: path", HOLD_ON)
+    refuse_ways(path, "find_start: path", "Give the start: where the way begins decides its branch.")
     rolls = _checked_rolls(cell, free_roll or {})
     samples = sample_path(path, grasp)
     near = None if q_near is None else cell.positions(cell.check_configuration(q_near, "find_start: q_near"))

@@ -128,7 +128,9 @@ class ToolPiece(Piece):
         return np.concatenate([self.object, self.tool, *placed, [self.low, self.high]])
 
 
-def tool_on_object(path: ObjectPath, samples: PathSamples, k: int, X: pin.SE3) -> ToolPath:
+def tool_on_object(
+    path: ObjectPath, samples: PathSamples, k: int, X: pin.SE3, *, begin: float = 0.0, end: float | None = None
+) -> ToolPath:
     """The path of tool k, which moves on the object: at knots of pieces that can be proved, else at samples.
 
     Args:
@@ -136,19 +138,25 @@ def tool_on_object(path: ObjectPath, samples: PathSamples, k: int, X: pin.SE3) -
         samples: the path as arm k sees it, see :meth:`PathSamples.of_arm`.
         k: the arm.
         X: its T_object_tool of the grasp.
+        begin, end: clocks of a part of the path [s]; by default all of it.
     """
-    segments = _segments(path, k, X)
+    end = path.duration if end is None else end
+    segments = _segments(path, k, X, begin, end)
+    if segments is None and (begin > 0.0 or end < path.duration):
+        inside = (samples.clocks >= begin - _SAME) & (samples.clocks <= end + _SAME)
+        poses = tuple(T for T, here in zip(samples.poses, inside.tolist(), strict=True) if here)
+        samples = PathSamples(samples.clocks[inside], poses)
     return tool_path(None, samples, X) if segments is None else tool_path(segments, samples, pin.SE3.Identity())
 
 
-def _segments(path: ObjectPath, k: int, X: pin.SE3) -> Segments | None:
+def _segments(path: ObjectPath, k: int, X: pin.SE3, begin: float, end: float) -> Segments | None:
     numbers, motion = path.packed(), path.grasps
     if numbers is None or motion is None:
         return None
     rows = np.asarray(numbers[3 + int(numbers[1]) :])[: SEGMENT * int(numbers[2])].reshape(-1, SEGMENT)
-    pieces, end = motion.arms[k], path.duration
-    marks = {0.0, end, *rows[:, 18].tolist(), *(c for piece in pieces for c in (piece.start, piece.end))}
-    clocks = sorted(clock for clock in marks if 0.0 <= clock <= end)
+    pieces = motion.arms[k]
+    marks = {begin, end, *rows[:, 18].tolist(), *(c for piece in pieces for c in (piece.start, piece.end))}
+    clocks = sorted(clock for clock in marks if begin <= clock <= end)
     clocks = [a for a, b in itertools.pairwise(clocks) if b - a > _SAME] + [end]
     made: list[ToolPiece] = []
     laws: list[_Law] = []
@@ -172,9 +180,18 @@ def _segments(path: ObjectPath, k: int, X: pin.SE3) -> Segments | None:
             out[here] = laws[j].clocks(made[j].low + (made[j].high - made[j].low) * (s[here] - j))
         return np.minimum(out, end)
 
+    def where(at: Array) -> Array:
+        """Numbers of pieces, and shares of them, at clocks [s]."""
+        i = np.clip(np.searchsorted(clocks, at, side="right") - 1, 0, len(made) - 1)
+        shares = [
+            (laws[j].share(clock) - made[j].low) / (made[j].high - made[j].low)
+            for j, clock in zip(i.tolist(), at.tolist(), strict=True)
+        ]
+        return i + np.clip(shares, 0.0, 1.0)
+
     starts = np.array(clocks)
     quintic = np.array([law.kind == 1.0 for law in laws])
-    return Segments(tuple(made), starts[:-1], np.diff(starts), quintic, when=when)
+    return Segments(tuple(made), starts[:-1], np.diff(starts), quintic, when=when, where=where)
 
 
 @dataclass(frozen=True)

@@ -1,6 +1,7 @@
 from .program import Phase as Phase, PhaseSpan as PhaseSpan, Program as Program
 from .roles import (
     Follows as Follows,
+    FollowsJoints as FollowsJoints,
     Holds as Holds,
     Role as Role,
     Slides as Slides,
@@ -9,3 +10,4 @@ from .roles import (
     Waits as Waits,
     Works as Works,
 )
+from .search import SearchedWay as SearchedWay

@@ -4,24 +4,28 @@ from __future__ import annotations
 
 from bisect import bisect_right
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any, final
 
 import numpy as np
 import pinocchio as pin
 
-from coopqp.checks import as_scalar, require
+from coopqp.checks import ArrayLike, as_scalar, require
 from coopqp.errors import InvalidInputError, UnknownNameError
 from coopqp.model.cell import RobotCell
 from coopqp.model.grasp import Grasp
+from coopqp.model.inverse_kinematics import inverse_kinematics
 from coopqp.native.constants import SEGMENT
-from coopqp.paths.grasp_motion import GraspMotion, GraspPiece
+from coopqp.paths.grasp_motion import ATTACH_M, ATTACH_RAD, GraspMotion, GraspPiece, still_from
 from coopqp.paths.guarded import GuardedPath, is_known
+from coopqp.paths.joint_path import JointPiece
 from coopqp.paths.moving_grasps import grasp_at
 from coopqp.paths.path import HoldPath, ObjectPath, SegmentedPath
 from coopqp.paths.section import breakpoints
-from coopqp.programs.roles import Holds, Role, Span
-from coopqp.spatial import Array
+from coopqp.programs.joint_ways import joint_piece
+from coopqp.programs.roles import FollowsJoints, Holds, Role, Span, Waits
+from coopqp.programs.search import SearchedWay, configuration_at_end
+from coopqp.spatial import Array, as_placement
 
 #: Phases may begin this far from where the one before ends [m, rad].
 _TOGETHER = 1e-6
@@ -38,14 +42,14 @@ class Phase:
 
     Attributes:
         name: for messages.
-        path: the object's path in the world, over the phase's own clock; None: it rests.
+        path: the object's path in the world, over the phase's own clock; one that is searched; None: it rests.
         arms: what each arm does, by its name; those that are not named hold the object.
         duration: of a phase without a path [s]; by default the longest that a role needs.
         until: the signal that the object waits for at the end of the phase; None for none.
     """
 
     name: str
-    path: ObjectPath | None = None
+    path: ObjectPath | SearchedWay | None = None
     arms: Mapping[str, Role] = field(default_factory=dict)
     duration: float | None = None
     until: str | None = None
@@ -54,7 +58,15 @@ class Phase:
         where = f"Phase '{self.name}'"
         if not isinstance(self.name, str) or not self.name:
             raise InvalidInputError(f"its name is {self.name!r}", "Phase", "Give a word or two.")
-        if self.path is not None:
+        if isinstance(self.path, SearchedWay):
+            moving = [name for name, role in self.arms.items() if not isinstance(role, (Holds, Waits))]
+            if moving:
+                raise InvalidInputError(
+                    f"its way is searched, and arm '{moving[0]}' moves on the object",
+                    where,
+                    "Let it move in a phase before or after: here arms hold or wait.",
+                )
+        elif self.path is not None:
             GuardedPath(self.path).check(f"{where}: path")
             if not (np.isfinite(self.path.duration) and self.path.known_ahead) or self.path.grasps is not None:
                 raise InvalidInputError(
@@ -62,8 +74,8 @@ class Phase:
                     f"{where}: path",
                     "Give a path of the object that ends.",
                 )
-            if self.duration is not None:
-                raise InvalidInputError("a path and a duration", where, "Give one of both.")
+        if self.path is not None and self.duration is not None:
+            raise InvalidInputError("a path and a duration", where, "Give one of both.")
         if self.duration is not None:
             object.__setattr__(self, "duration", as_scalar(self.duration, f"{where}: duration"))
         for name, role in self.arms.items():
@@ -79,6 +91,8 @@ class Phase:
         Raises:
             InvalidInputError: nothing says how long it is, or a role needs longer.
         """
+        if isinstance(self.path, SearchedWay):
+            raise InvalidInputError("its way is not searched yet", f"Phase '{self.name}'", "Ask the program's spans.")
         needed = max((role.duration for role in self.arms.values() if role.duration is not None), default=None)
         given = self.duration if self.path is None else float(self.path.duration)
         where = f"Phase '{self.name}'"
@@ -124,9 +138,14 @@ class Program(SegmentedPath):
         cell, grasp: the arms, and how they hold the object when the program begins.
         phases: at least one.
         signals: seconds after the start of a run at which signals come by themselves, by name.
+        attach_m, attach_rad: how far from its grasp a tool may be where it attaches [m, rad], as the others hold the
+            object: measured, or where nothing is measured as commanded. Within, the grip latches where the tool is;
+            beyond, the arms hold until the tool is there.
+        q_start: configuration (nq,) near the start, for phases that search their ways: they begin in its branches. By
+            default any branches in which the arms hold the object where a search begins.
 
     Attributes:
-        phases: as given.
+        phases: as given, with the ways that were searched.
         spans: each phase on the program's clock.
 
     Raises:
@@ -136,10 +155,20 @@ class Program(SegmentedPath):
     """
 
     def __init__(
-        self, cell: RobotCell, grasp: Grasp, phases: Sequence[Phase], *, signals: Mapping[str, float] | None = None
+        self,
+        cell: RobotCell,
+        grasp: Grasp,
+        phases: Sequence[Phase],
+        *,
+        signals: Mapping[str, float] | None = None,
+        attach_m: float = ATTACH_M,
+        attach_rad: float = ATTACH_RAD,
+        q_start: ArrayLike | None = None,
     ) -> None:
         grasp.check_arms(cell)
         cell.refuse_shared("Program")
+        self.attach_m = as_scalar(attach_m, "Program: attach_m")
+        self.attach_rad = as_scalar(attach_rad, "Program: attach_rad")
         self.phases = tuple(phases)
         if not self.phases:
             raise InvalidInputError("no phase", "Program", "Give at least one.")
@@ -154,6 +183,7 @@ class Program(SegmentedPath):
             raise InvalidInputError(
                 f"two phases are named '{min(repeated)}'", "Program: phases", "Give each a name of its own."
             )
+        self._search(cell, grasp, q_start)
         self._place(cell, grasp)
         known = {name for _, name in self.gates}
         for name in signals or {}:
@@ -162,10 +192,32 @@ class Program(SegmentedPath):
         times = {n: as_scalar(t, f"Program: signals['{n}']", open_low=False) for n, t in (signals or {}).items()}
         self.signals = times
 
+    def _search(self, cell: RobotCell, grasp: Grasp, q_start: ArrayLike | None) -> None:
+        """Search the ways that phases ask for, one after the other."""
+        made = list[Phase]()
+        for phase in self.phases:
+            if isinstance(phase.path, SearchedWay):
+                where = f"Program: phase '{phase.name}'"
+                q = None if q_start is None else cell.check_configuration(q_start, "Program: q_start")
+                if made:
+                    before = Program(cell, grasp, made)
+                    q = None if q is None else configuration_at_end(cell, grasp, before, q)
+                    held, start = before.grasp_at(grasp, before.duration), before.pose(before.duration)
+                elif phase.path.start is None:
+                    raise InvalidInputError("its way has no start", where, "Give Search(start=T_world_object).")
+                else:
+                    held, start = grasp, as_placement(phase.path.start, f"{where}: start")
+                if q is not None:
+                    q = inverse_kinematics(cell, held, start, q)
+                phase = replace(phase, path=phase.path.found(cell, held, start, q, where))
+            made.append(phase)
+        self.phases = tuple(made)
+
     def _place(self, cell: RobotCell, grasp: Grasp) -> None:
         starts, paths = [0.0], list[ObjectPath]()
         for phase in self.phases:
             seconds = phase.seconds
+            assert not isinstance(phase.path, SearchedWay)
             resting = HoldPath(self._begins(paths), duration=seconds) if phase.path is None else phase.path
             self._check_joint(phase, paths, resting)
             paths.append(resting)
@@ -192,7 +244,7 @@ class Program(SegmentedPath):
         if paths:
             return paths[-1].pose(paths[-1].duration)
         for phase in self.phases:
-            if phase.path is not None:
+            if isinstance(phase.path, ObjectPath):
                 return phase.path.pose(0.0)
         raise InvalidInputError("no phase has a path", "Program", "Give the first one HoldPath(T_world_object).")
 
@@ -212,6 +264,7 @@ class Program(SegmentedPath):
     def _motion(self, cell: RobotCell, grasp: Grasp) -> GraspMotion:
         n = len(cell)
         moved, pieces = [pin.SE3.Identity()] * n, [list[GraspPiece]() for _ in range(n)]
+        led = [list[JointPiece]() for _ in range(n)]
         holding, contact = [True] * n, list[tuple[float, tuple[bool, ...]]]()
         for phase, start in zip(self.phases, self._starts, strict=True):
             after = list(holding)
@@ -220,6 +273,11 @@ class Program(SegmentedPath):
                 where = f"Program: phase '{phase.name}', arm '{name}'"
                 made = role.pieces(Span(start, phase.seconds, grasp.T_object_tool[k], moved[k], where))
                 pieces[k] += made
+                if isinstance(role, FollowsJoints):
+                    way = joint_piece(self, cell.arms[k], role.path, grasp.T_object_tool[k], moved[k], start, where)
+                    led[k].append(way)
+                    pieces[k] += [still_from(start, moved[k]), still_from(way.end, way.pose(way.end))]
+                    moved[k] = way.pose(way.end)
                 if made:
                     moved[k] = made[-1].pose(start + phase.seconds)
                 if isinstance(role, Holds) and not holding[k]:
@@ -237,7 +295,8 @@ class Program(SegmentedPath):
             contact.append((start, tuple(holding)))
             holding = after
         contact.append((self.duration, tuple(holding)))
-        return GraspMotion(tuple(map(tuple, pieces)), tuple(contact))
+        ways = tuple(map(tuple, led)) if any(led) else ()
+        return GraspMotion(tuple(map(tuple, pieces)), tuple(contact), self.attach_m, self.attach_rad, ways)
 
     def _breakpoints(self) -> list[float]:
         assert self.grasps is not None

@@ -13,6 +13,7 @@ import pinocchio as pin
 from coopqp.checks import ArrayLike, as_scalar, as_vector, require
 from coopqp.errors import InvalidInputError
 from coopqp.paths.grasp_motion import GraspPiece
+from coopqp.paths.joint_path import JointPath
 from coopqp.paths.moving_grasps import pieces_of
 from coopqp.paths.path import LinePath, ObjectPath, WaypointPath
 from coopqp.paths.time_law import TimeLaw, as_time_law
@@ -234,6 +235,31 @@ class Slides(Role):
         still = pin.SE3.Identity()
         moved = pin.SE3(np.eye(3), self.distance_m * np.asarray(self.axis))
         return span.pieces(LinePath(still, moved, duration=span.duration, time_law=self.time_law), still)
+
+
+@final
+@dataclass(frozen=True, eq=False)
+class FollowsJoints(Role):
+    """The arm does not hold the object, and follows a way of its joints: also to another branch, or past singularities.
+
+    The way counts with its speeds and accelerations among the limits of all, ahead of the clock as well. Its tool goes
+    where the joints lead it, and rests on the object after the phase where it is then. A moving object that the arm
+    leaves, or joins, makes its joints jump: let the object rest at both ends of the phase, or it slows down there.
+
+    Args:
+        path: the way; it begins where the arm is when the phase begins, to within 1 mm and 1 mrad of its tool.
+    """
+
+    path: JointPath
+    holds = False
+
+    def __post_init__(self) -> None:
+        require(self.path, JointPath, "FollowsJoints: path", "Give a JointPath(positions, durations).")
+        object.__setattr__(self, "duration", self.path.duration)
+
+    def pieces(self, span: Span) -> tuple[GraspPiece, ...]:
+        """See :class:`Role`."""
+        return ()
 
 
 def _pin(value: Placement | ArrayLike) -> pin.SE3:

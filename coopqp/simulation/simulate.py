@@ -82,8 +82,7 @@ def simulate(
             raise InvalidInputError(what, f"simulate: {name}", f"Give an object with {' and '.join(methods)}.")
     cell: RobotCell = controller.cell
     plant = KinematicPlant(cell) if plant is None else plant
-    if not isinstance(plant, KinematicPlant) and hasattr(plant, "grasp"):
-        refuse_motion(controller.path, "simulate: plant", "Give a KinematicPlant: the grips of this one stay closed.")
+    refuse_for_plant(controller.path, plant)
     endless = not np.isfinite(controller.path.duration)
     if duration is None and endless:
         raise InvalidInputError("the path has no end", "simulate: duration", "Say how long to run [s].")
@@ -125,6 +124,24 @@ def simulate(
             break
     held = {"plant": type(plant).__name__, "gripped": getattr(plant, "gripped", None)}
     return recorder.recording({**held, "settle": after, "longest": longest, **(metadata or {})})
+
+
+def refuse_for_plant(path: ObjectPath, plant: Any) -> None:
+    """Refuse a path that a plant with grips cannot follow.
+
+    Raises:
+        InvalidInputError: arms let go or move on the object, and the grips of the plant stay closed; or a part opens,
+            whose body is rigid in the plant.
+    """
+    where, motion = "simulate: plant", getattr(path, "grasps", None)
+    if isinstance(plant, KinematicPlant) or not hasattr(plant, "grasp"):
+        return
+    if not getattr(plant, "follows_contact", False):
+        refuse_motion(path, where, "Give a KinematicPlant: the grips of this one stay closed.")
+    elif motion is not None and not motion.holding_fixed:
+        raise InvalidInputError(
+            "an arm moves on the object while it holds it, and the object is rigid", where, "Give a KinematicPlant."
+        )
 
 
 def begin(controller: Controller, plant: Plant, q_start: ArrayLike) -> Array:

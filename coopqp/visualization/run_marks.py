@@ -102,7 +102,7 @@ def _nearest(metadata: Mapping[str, Any]) -> tuple[Array, Array, Array] | None:
         times, points = (np.array(entry[key], dtype=float) for key in ("times_s", "points_m"))
     except (KeyError, TypeError, ValueError, OverflowError) as error:
         raise SceneError(f"the recording's nearest points are damaged ({error}).") from error
-    if points.shape != (len(times), 2, 3) or not len(times) or not np.isfinite(points).all():
+    if not times.size or times.ndim != 1 or points.shape != (len(times), 2, 3) or not np.isfinite(points).all():
         raise SceneError("the recording's nearest points are damaged.")
     found = nearest_pairs(metadata)
     distances = found[1] if found is not None and len(found[1]) == len(times) else np.ptp(points, axis=1).max(axis=1)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from coopqp import load_cell_file
@@ -106,7 +107,6 @@ def test_phases_of_a_cell_file_run_and_are_reported(tmp_path: Path) -> None:
         ("xyz_m = [0.0, 0.03, 0.0], rpy_deg", "xyz_m = [0.0, 0.03], rpy_deg", "phases"),
         ("start = { xyz_m = [0.9, 0.0, 0.1], rpy_deg = [0, 0, -90] }", "", "first path of a program needs start"),
         ("[grasp]", '[controller]\nkind = "independent"\n[grasp]', "only the controller qp"),
-        ("[grasp]", '[plant]\nkind = "physics"\n[grasp]', "grips stay closed"),
     ],
 )
 def test_a_bad_phase_is_refused_by_name(tmp_path: Path, old: str, new: str, match: str) -> None:
@@ -168,3 +168,112 @@ def test_a_loose_object_ends_with_status_3(tmp_path: Path, capsys: pytest.Captur
     bad = PINS.replace("range_deg = [-60, 60]", "range_m = [-0.1, 0.1]", 1)
     with pytest.raises(CellFileError, match="axis 'rx' takes range_deg or range_rad"):
         load_cell_file(written(tmp_path, bad))
+
+
+def test_an_arm_follows_its_joints_in_a_phase_of_a_cell_file(tmp_path: Path) -> None:
+    """From a start that the file gives; the other phases stay as they are."""
+    first = load_cell_file(written(tmp_path, CELL)).scenario
+    degrees = np.rad2deg(first.q_start)
+    starts = ", ".join(
+        f"{name} = {[round(x, 6) for x in degrees[own].tolist()]}"
+        for name, own in zip(first.cell.arm_names, first.cell.v_slices, strict=True)
+    )
+    arms = "\n".join(CELL.partition("[[phases]]")[0].splitlines())
+    here = [round(x, 6) for x in degrees[first.cell.v_slices[2]].tolist()]
+    there = [x + 5.0 for x in here]
+    phases = f"""
+[start]
+positions_deg = {{ {starts} }}
+[attach]
+distance_mm = 1.0
+[[phases]]
+name = "aside"
+[phases.arms.slave_2]
+kind = "follows_joints"
+positions_deg = [{here}, {there}, {here}]
+durations_s = [0.5, 0.5]
+[[phases]]
+name = "back"
+duration_s = 0.5
+[phases.arms.slave_2]
+kind = "travels"
+to = {{ xyz_m = [0.3, 1.8, 0.0], rpy_deg = [90, 0, 0] }}
+[[phases]]
+name = "lift"
+[phases.path]
+kind = "line"
+start = {{ xyz_m = [0.9, 0.0, 0.1], rpy_deg = [0, 0, -90] }}
+displacement = {{ translation_m = [0.0, 0.0, 0.05] }}
+duration_s = 1.0
+"""
+    task = load_cell_file(written(tmp_path, arms + phases))
+    program = task.scenario.path
+    assert isinstance(program, Program)
+    assert (program.attach_m, program.attach_rad) == pytest.approx((0.001, 0.02))
+    assert program.spans[0].holding == ("master", "slave_1")
+    recording = task.run()
+    assert recording.finished
+    asked = recording.q_command[50][first.cell.columns[2]]
+    assert np.abs(asked - np.deg2rad(there)).max() < 2e-2
+    bad = phases.replace(f"[{here}, {there}, {here}]", f"[{here[:5]}, {there[:5]}]").replace("[0.5, 0.5]", "[0.5]")
+    with pytest.raises(CellFileError, match=r"arms\.slave_2\.positions_deg has 5 numbers for 6 joints"):
+        load_cell_file(written(tmp_path, arms + bad))
+
+
+COLLISION = '[[collision.obstacles]]\nname = "ball"\nshape = "sphere"\nradius_m = 0.1\nat.xyz_m = [0.0, 3.0, 0.0]\n'
+
+
+def test_a_phase_of_a_cell_file_searches_its_way(tmp_path: Path) -> None:
+    search = """path = { kind = "search", speed_m_per_s = 0.1, nodes = 50, goal = GOAL }"""
+    goal = "{ xyz_m = [0.9, 0.05, 0.25], rpy_deg = [0, 0, -90] }"
+    lift = CELL.partition('\n[[phases]]\nname = "regrasp"')[0]
+    text = lift + f'\n[[phases]]\nname = "over"\n{search.replace("GOAL", goal)}\n{COLLISION}'
+    program = load_cell_file(written(tmp_path, text)).scenario.path
+    assert isinstance(program, Program)
+    assert np.allclose(program.pose(program.duration).translation, [0.9, 0.05, 0.25])
+    assert max(np.linalg.norm(program.twist(c)[:3]) for c in np.linspace(2.01, program.duration, 50)) <= 0.1 + 1e-6
+    for old, new, match in (
+        (COLLISION, "", "no bodies are known"),
+        (goal, goal.replace("}", ", free = [{ axis = 'rz' }] }"), "free turns"),
+    ):
+        with pytest.raises(CellFileError, match=match):
+            load_cell_file(written(tmp_path, text.replace(old, new)))
+
+
+def test_a_whole_program_is_planned_from_its_file_and_runs(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """What is written reads back to the same program: phases, contact, gates, and the motions of the tools."""
+    pytest.importorskip("toppra")
+    pytest.importorskip("matplotlib")
+    file = written(tmp_path, CELL.partition("[phases.arms.master]")[0] + "\n[signals_s]\n'slave_2 closed' = 1.0\n")
+    assert main(["plan", str(file), "--out", str(tmp_path / "planned")]) == 0
+    said = capsys.readouterr().out
+    assert "phase: open" in said
+    assert "CERTIFIED" in said
+    given, planned = load_cell_file(file), load_cell_file(tmp_path / "planned" / "plan.toml")
+    program = planned.scenario.path
+    assert isinstance(program, Program)
+    assert [span.name for span in program.spans] == ["lift", "regrasp 1", "regrasp 2", "regrasp 3", "open"]
+    assert program.spans[3].until == "slave_2 closed"
+    assert program.duration < 0.7 * given.scenario.path.duration
+    assert program.planned_share == 0.98
+    assert program.grasps is not None
+    assert given.scenario.path.grasps is not None
+    for k in range(3):
+        ends = [p.grasps.moved(k, p.duration).homogeneous for p in (program, given.scenario.path) if p.grasps]
+        assert np.allclose(*ends, atol=1e-9)
+    recording = planned.run()
+    assert recording.finished
+    assert recording.time[-1] < 1.03 * max(program.duration, 1.0) + 0.5
+    assert main(["plan", str(file), "--out", str(tmp_path / "other"), "--torques"]) == 2
+    assert "--torques is for files with a path" in capsys.readouterr().err
+
+
+def test_phases_in_the_engine_let_go_and_attach_but_open_no_part(tmp_path: Path) -> None:
+    pytest.importorskip("mujoco")
+    engine = CELL.replace("[grasp]", '[plant]\nkind = "physics"\n[grasp]', 1)
+    with pytest.raises(CellFileError, match="moves on the object while it holds it, and the object is rigid"):
+        load_cell_file(written(tmp_path, engine))
+    closed = engine.partition('\n[[phases]]\nname = "open"')[0] + "\n[signals_s]\n'slave_2 closed' = 2.0\n"
+    recording = load_cell_file(written(tmp_path, closed)).run()
+    assert recording.finished
+    assert recording.metadata["gripped"]

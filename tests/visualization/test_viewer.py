@@ -454,9 +454,10 @@ def test_a_line_joins_the_bodies_that_are_nearest(scene: FakeScene, run: Recordi
         assert np.linalg.norm(b - a) == pytest.approx(entry["distances_m"][i], abs=2e-4)
         assert scene.nodes["/nearest/distance"].text == f"{1e3 * entry['distances_m'][i]:.3g} mm"
         np.testing.assert_allclose(scene.nodes["/nearest/distance"].position, 0.5 * (a + b), atol=1e-6)
-    broken = {**recording.metadata, "clearance": {**entry, "points_m": [[0.0]]}}
-    with pytest.raises(SceneError, match="nearest points are damaged"):
-        Stage(FakeScene(), replace(recording, metadata=broken))
+    for wrong in ({"points_m": [[0.0]]}, {"times_s": 0.0}):
+        broken = {**recording.metadata, "clearance": {**entry, **wrong}}
+        with pytest.raises(SceneError, match="nearest points are damaged"):
+            Stage(FakeScene(), replace(recording, metadata=broken))
 
 
 def test_arrows_show_the_force_of_each_arm(scene: FakeScene, run: Recording, paper: Scenario) -> None:

@@ -23,6 +23,7 @@ from coopqp.control.monitoring.supervision import as_configuration
 from coopqp.control.operator.way import Way
 from coopqp.control.options import QPOptions
 from coopqp.control.step.constraint_set import Constraints
+from coopqp.control.step.contact import SAME_CLOCK, Contact, handed
 from coopqp.control.step.decoding import STATUSES, RecordReader
 from coopqp.control.step.linearised import LinearisedStep, StepInput, is_long
 from coopqp.control.step.priorities import StepSolver
@@ -160,7 +161,9 @@ class CompiledLoop:
         at, motion, cell = self.at, self._guarded.grasps, self.cell
         had = self._motion is not None
         self._motion = motion
+        self.contact = None if motion is None else Contact(cell, self.grasp, motion)
         if motion is None:
+            at["latched"][:] = 0.0
             if had:
                 at["object"][:], at["shares"][:] = at["places"], self._shares_of(None)
                 self._chain.place(self._fixed)
@@ -204,6 +207,7 @@ class CompiledLoop:
     def start_path(self, clock: float = 0.0, rate: float | None = None) -> None:
         """Along the path from ``clock`` on."""
         self._core.start_path(clock, self._starting_rate() if rate is None else rate)
+        self.at["changed_at"][0] = clock - SAME_CLOCK
         for _ in range(_SURVEYS_AT_START):  # what the first steps would do of it
             if not self._surveys_ahead():
                 break
@@ -281,6 +285,8 @@ class CompiledLoop:
         if memory.shape != state.shape:
             raise InvalidInputError("its memory is of another version", "QPController", "Build and reset a new one.")
         state[:] = memory
+        if self._motion is not None:
+            self.at["shares"][:] = self._shares_of(self._motion.holds(self.clock))
 
     @property
     def clock(self) -> float:
@@ -372,9 +378,38 @@ class CompiledLoop:
         """A step whose input may be anything, whose path may fail, or that has further rows."""
         self._said.clear()
         measured = None if q_measured is None else self._as_measured(q_measured)
+        drifted, shares = bool(self._loop.drifted), self.at["shares"].copy()
         self._core.observe(measured, dt)
+        if self.contact_due:
+            self._take_contact(drifted, shares)
         outcome = self._core.propose(self._put_rows(), False)
         return self.finish(outcome)
+
+    @property
+    def contact_due(self) -> bool:
+        """Whether a change of contact is not taken yet."""
+        return self.contact is not None and self.contact.due(self.clock, self.at["changed_at"].item())
+
+    def _take_contact(self, drifted: bool, shares: Array) -> None:
+        """Take changes of contact that are due, or hold where an arm that attaches is not where it grasps."""
+        at, p, contact = self.at, self._proposal, self.contact
+        assert contact is not None
+        measured = bool(p.has_measured) and self._loop.drifted != 0.0
+        if measured and drifted:  # as it went on under the shares of the step before
+            kept = handed(*(x.reshape(-1, 6) for x in (at["shares"], shares, at["measured_away"])))
+            change = p.dt / (p.dt + self.options.measurement_time) * kept
+            at["latched"][:] += kept
+            at["drift"][:] += change
+            at["measured"][:] += (0.0 if p.hold else p.watch_cap) * change
+        carried = at["measured_carried" if measured else "carried"].reshape(-1, 12)
+        reason = contact.refused(self.clock, at["changed_at"].item(), [_pose_of(numbers) for numbers in carried])
+        if not reason:
+            at["changed_at"][0] = self.clock + SAME_CLOCK
+        elif p.watch_cap > 0.0:
+            self._said[_CONSTRAINT_FAILED], self._held_by = reason, Cause.TRACKING
+            p.watch_cap, p.hold = 0.0, 1.0
+            p.reason, p.reason_arm = _CONSTRAINT_FAILED, -1.0
+            at["measured"][:] = 0.0
 
     def finish(self, outcome: int | None = None) -> ControlStep:
         """Answer an open step, and commit it."""

@@ -225,7 +225,7 @@ class ClosedChainAhead:
         twist = None if pose is None else path.twist(max(min(clock, self._duration) - before, 0.0))
         if pose is None or twist is None:
             raise LookAheadTrouble(path.problem)
-        self._place_grasps(clock)
+        self._place_grasps(clock, before)
         errors = chain.errors(chain.carried(q), pose)
         if not np.abs(errors).max() < np.inf:
             return None
@@ -244,12 +244,29 @@ class ClosedChainAhead:
                 slope = self._evade(q, slope)
             if not elbows_led:
                 slope = self._avoidance.led_away(self._cell.positions(q), slope)
+        if chain.apart:
+            self._along_own_ways(clock, before, q, step, slope)
         return _NewtonStep(errors, step, slope) if step @ step + slope @ slope < np.inf else None
 
-    def _place_grasps(self, clock: float) -> None:
-        """Place the tools where they are on the object at a clock [s]."""
+    def _along_own_ways(self, clock: float, before: float, q: Array, step: Array, slope: Array) -> None:
+        """Newton's step and q′ of arms that follow their joints' own way."""
+        motion, x = self._motion, self._cell.positions(q)
+        assert motion is not None
+        for k in self._chain.apart:
+            columns, way = self._chain.moving_columns[k], motion.leading(k, self._side(clock, before))
+            assert way is not None
+            step[columns] = way.at(clock)[0] - x[columns]
+            slope[columns] = way.at(clock - before)[1]
+
+    def _side(self, clock: float, before: float) -> float:
+        """A clock a moment ``before`` another, on the path [s]."""
+        return max(min(clock, self._duration) - before, 0.0)
+
+    def _place_grasps(self, clock: float, before: float = 0.0) -> None:
+        """Place the tools where they are on the object at a clock [s]; which arms follow it, a moment ``before``."""
         if self._motion is not None:
             self._chain.place(self._motion.placements(min(clock, self._duration)))
+            self._chain.apart = self._motion.apart(self._side(clock, before))
 
     @property
     def led(self) -> bool:

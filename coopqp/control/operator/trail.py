@@ -14,7 +14,7 @@ from coopqp.spatial import Array
 #: Knots that are kept at most: then every second one is dropped, and fewer are noted.
 MOST_KEPT = 1024
 #: Time between two knots at first [s].
-_BETWEEN = 0.016
+_BETWEEN = 0.032
 #: Knots are at least so far from each other on the clock [s].
 _NEAREST = 1e-4
 #: At a path speed below this σ, joint velocities say little about how positions depend on the clock.
@@ -33,7 +33,7 @@ class Trail:
     """
 
     def __init__(self, cell: RobotCell, *, dt: float) -> None:
-        self._cell = cell
+        self._cell, self._turns_on = cell, not cell.euclidean
         self._first_stride = self.stride = max(1, round(_BETWEEN / dt))
         self._left = self.stride
         #: Clock [s], positions (nv,) and their change per second of the clock (nv,), None where it is not known.
@@ -59,9 +59,11 @@ class Trail:
         self._left = self.stride
         if self._last_q is None:
             return self.begin(clock, q)
-        last_x = self._knots[-1][1]
-        x = last_x + pin.difference(self._cell.model, self._last_q, q)  # joints that turn on go on over whole turns
-        self._last_q = np.array(q)
+        if self._turns_on:  # over whole turns
+            x = self._knots[-1][1] + pin.difference(self._cell.model, self._last_q, q)
+            self._last_q = np.array(q)
+        else:
+            x = self._last_q = np.array(q)
         slope = velocity / rate if rate >= _SLOWEST else None
         if clock - self._knots[-1][0] < _NEAREST:
             clock = self._knots.pop()[0]

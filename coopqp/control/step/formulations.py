@@ -248,7 +248,9 @@ class StepProgram:
         A, b = self._chain_equalities(terms, S, n)
         if slack:
             part = 1.0 / np.sqrt(self.weights.chain)
-            A[:, parting] = np.diag(np.tile([part] * 3 + [part / self.weights.length] * 3, chain.n_arms))
+            A[: 6 * chain.n_arms, parting] = np.diag(
+                np.tile([part] * 3 + [part / self.weights.length] * 3, chain.n_arms)
+            )
         back = np.zeros((outside.size, n))
         back[np.arange(outside.size), outside] = 1.0
         back[:, led_back] = -self.recovery_scale * np.eye(outside.size)
@@ -285,7 +287,23 @@ class StepProgram:
             # Rows outside what the arm can do are 0 = 0 up to rounding: leave them out.
             U = np.linalg.svd(A[k, :, :nv], full_matrices=False)[0]
             A[k], b[k] = U @ U.T @ A[k], U @ U.T @ b[k]
-        return A.reshape(6 * N, n), b.ravel()
+        own_ways = self._ways_apart(terms, n, rate_at=own - 3)
+        A[list(self.chain.apart)], b[list(self.chain.apart)] = 0.0, 0.0
+        return np.vstack([A.reshape(6 * N, n), own_ways[0]]), np.concatenate([b.ravel(), own_ways[1]])
+
+    def _ways_apart(self, terms: StepTerms, n: int, *, rate_at: int) -> tuple[Array, Array]:
+        """Equalities of arms that follow their joints' own way: their velocities are given, but for the rate."""
+        chain = self.chain
+        columns = [j for k in chain.apart for j in chain.moving_columns[k].tolist()]
+        A, b = np.zeros((len(columns), n)), np.zeros(len(columns))
+        if columns:
+            assert terms.null_along is not None
+            assert terms.null_offset is not None
+            along, offset = terms.null_along[columns], terms.null_offset[columns]
+            A[range(len(columns)), columns] = 1.0
+            A[:, rate_at] = along * self._share_scale[0]
+            b[:] = offset + terms.rate_cap * along
+        return A, b
 
     def _posture_rows(self, terms: StepTerms, n: int, rate_at: int) -> tuple[Array, Array]:
         """G (redundancy, n) and target: z is ``G x``, less the wanted one."""
@@ -314,8 +332,9 @@ class StepProgram:
             + answer.grasp_share * terms.grasp_corrections
             + terms.offsets
         )
-        actual = self.chain.twists(answer.velocity) @ terms.to_world
-        return float(np.linalg.norm((actual - common)[:, :3], axis=1).max())
+        parting = self.chain.twists(answer.velocity) @ terms.to_world - common
+        parting[list(self.chain.apart)] = 0.0
+        return float(np.linalg.norm(parting[:, :3], axis=1).max())
 
 
 def _or_none(further: Rows | None, nv: int) -> Rows:

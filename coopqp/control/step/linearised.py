@@ -196,7 +196,7 @@ class LinearisedStep:
     def _completed(self, s: StepInput, terms: StepTerms) -> StepTerms:
         """With the parts that depend on the linearisation: null-space motion, and what arms with few joints can do."""
         chain = self._chain
-        if chain.redundancy:
+        if chain.redundancy or chain.apart:
             terms.null_along = chain.null_part(s.null_along)
             terms.null_offset = chain.null_part(s.null_offset)
         if not chain.deficient:
@@ -223,6 +223,7 @@ class LinearisedStep:
     def _defects(self, v: Array, made: Array, terms: StepTerms) -> Array:
         """b_k = A_k v less the twists that v really makes (N, 6)."""
         defects: Array = self._chain.twists(v) @ terms.to_world - made
+        defects[list(self._chain.apart)] = 0.0
         return defects
 
 

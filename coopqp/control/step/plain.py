@@ -30,6 +30,7 @@ from coopqp.control.operator.way import Way
 from coopqp.control.options import QPOptions
 from coopqp.control.step.braking_rows import BrakingRows
 from coopqp.control.step.constraint_set import Constraints
+from coopqp.control.step.contact import SAME_CLOCK, Contact, handed
 from coopqp.control.step.linearised import LinearisedAnswer, LinearisedStep, StepInput, mean_error
 from coopqp.control.step.priorities import StepSolver
 from coopqp.control.step.rate_cap import OVERRIDE, RateCap
@@ -43,6 +44,7 @@ from coopqp.model.limits import BindingLimit, LimitKind
 from coopqp.model.posture import Posture
 from coopqp.native.constants import LEAST_PACE, MOST_TIGHTENINGS, NEGLIGIBLE, SAID_APART
 from coopqp.paths.guarded import GuardedPath, jump
+from coopqp.paths.joint_path import FAR_FROM_WAY
 from coopqp.paths.path import ObjectPath
 from coopqp.spatial import Array
 
@@ -94,9 +96,12 @@ class PlainLoop:
         self.path, self._guarded, self._way = path, GuardedPath(path), way or Way.of(path)
         self._on_path = self.options.on(self._guarded.planned_share)
         self._motion = self._guarded.grasps
+        self.contact = None if self._motion is None else Contact(self.cell, self.grasp, self._motion)
         if self._motion is None:
             self._chain.place(self._fixed)
+            self._chain.apart = ()
             self._shares[:] = self._usual_shares
+            self.state.latched = 0.0
         self._posture.take(self._on_path.posture)
         self._preview = None
         if self.options.preview is not None and self._guarded.known_ahead:
@@ -148,6 +153,7 @@ class PlainLoop:
         """Start along the path from ``clock`` on."""
         s = self.state
         s.clock, s.first, s.predicted, s.foreseen = clock, True, None, 0.0
+        s.taken = clock - SAME_CLOCK
         s.away, s.status = math.inf, Status.TRACKING
         s.rate, s.rate_slope = (0.0 if self._box.accelerates else s.reins.share) if rate is None else rate, 0.0
         self.look_ahead_again()
@@ -238,6 +244,7 @@ class PlainLoop:
             measured, trouble = supervision.accept_measurement(q_measured, s.q)
             if trouble:
                 measured, watch = None, Watch.holding(trouble)
+        before = self._shares.copy()
         self._place_grasps(s.clock)
         pose, carried = self._pose(s.clock), self._chain.carried(s.q)
         trouble, s.away = self._guarded.trouble(s.clock, h, carried[0], s.away)
@@ -250,7 +257,7 @@ class PlainLoop:
             watch = Watch(0.0, hold=True, fault=True, arm=s.fault_arm, reason=s.fault, cause=s.fault_cause)
         seen = Observed(h, pose, carried, self._chain.errors(carried, pose), watch, lost=lost)
         self._watch_chain(seen)
-        seen.measured = self._measured_error(seen, measured)
+        seen.measured = self._measured_error(seen, measured, before)
         gain = min(self.options.path_gain, 1.0 / h)
         servos, held = supervision.servos, seen.watch.hold and seen.watch.cause is not Cause.CONTACT
         if servos is not None and servos.backs and not held and gain > 0.0:
@@ -266,6 +273,7 @@ class PlainLoop:
         """Place the tools where they are on the object at a clock [s], and let the arms that hold it make its pose."""
         if self._motion is not None:
             self._chain.place(self._motion.placements(clock))
+            self._chain.apart = self._motion.apart(clock)
             self._shares[:] = self.options.common_error.shares_of(self.cell, self._motion.holds(clock))
 
     def _along(self, pose: pin.SE3, ahead: pin.SE3, clock: float, span: float) -> Array:
@@ -276,6 +284,8 @@ class PlainLoop:
         if self._motion is None:
             return np.asarray(pin.log6(way).vector) / span
         then, now = self._motion.placements(clock + span), self._motion.placements(clock)
+        for k in self._chain.apart:
+            then, now = ((*x[:k], pin.SE3.Identity(), *x[k + 1 :]) for x in (then, now))
         return np.array([pin.log6(way * b * a.inverse()).vector for a, b in zip(now, then, strict=True)]) / span
 
     def _watch_chain(self, seen: Observed) -> None:
@@ -294,20 +304,25 @@ class PlainLoop:
     def _mean(self, errors: Array) -> Array:
         return mean_error(self._shares, errors)
 
-    def _measured_error(self, seen: Observed, measured: Array | None) -> Array | None:
+    def _measured_error(self, seen: Observed, measured: Array | None, shares: Array) -> Array | None:
         """The object's error (6,) for the path correction, with the measured one; None for the commanded one.
 
         It is the commanded error plus the further measured error, which fades in slowly. The correction shrinks as the
         arms get out of step, and vanishes while they hold: the measured error of an arm that does not move would lead
-        the others away from it without end.
+        the others away from it without end. ``shares`` (N, 6) are those of the step before.
         """
-        s, watch = self.state, seen.watch
+        s, watch, held = self.state, seen.watch, seen.carried
         if measured is not None:
-            away = self._chain.errors(self._chain.carried(measured), seen.pose) - seen.errors
-            drift = np.zeros(6) if s.drift is None else s.drift
-            s.drift = drift + seen.h / (seen.h + self.options.measurement_time) * (self._mean(away) - drift)
+            held = self._chain.carried(measured)
+            away = self._chain.errors(held, seen.pose) - seen.errors
+            if s.drift is not None and self._motion is not None:
+                s.latched = s.latched + handed(self._shares, shares, away)
+            drift, mean = np.zeros(6) if s.drift is None else s.drift, self._mean(away) + s.latched
+            s.drift = drift + seen.h / (seen.h + self.options.measurement_time) * (mean - drift)
             twist = self._twist(seen.carried[0])
             watch.lower(self._supervision.watch(measured, s.q, away, seen.h, s.v, seen.pose.rotation, twist))
+        self._take_contact(watch, held)
+        self._watch_ways(watch)
         servos = self._supervision.servos
         corrects = 1.0 if servos is None else servos.corrects  # arms whose forces are monitored relax first
         if watch.hold or (s.drift is None and corrects == 1.0):
@@ -315,6 +330,35 @@ class PlainLoop:
         measured_error = self._mean(seen.errors) + (0.0 if s.drift is None else s.drift)
         error: Array = corrects * watch.rate_cap * measured_error
         return error
+
+    def _take_contact(self, watch: Watch, held: list[pin.SE3]) -> None:
+        """Take changes of contact that are due, or hold where an arm that attaches is not where it grasps."""
+        s, contact = self.state, self.contact
+        if contact is None or not contact.due(s.clock, s.taken):
+            return
+        if reason := contact.refused(s.clock, s.taken, held):
+            watch.lower(Watch.holding(reason, Cause.TRACKING))
+        else:
+            s.taken = s.clock + SAME_CLOCK
+
+    def _watch_ways(self, watch: Watch) -> None:
+        """Hold where an arm is far from the way of its joints: it would rush there."""
+        s = self.state
+        for k in self._chain.apart:
+            columns, motion = self._chain.moving_columns[k], self._motion
+            way = None if motion is None else motion.leading(k, s.clock)
+            assert way is not None
+            off = np.abs(self.cell.positions(s.q)[columns] - way.at(s.clock)[0])
+            if off.max() > FAR_FROM_WAY:
+                joint = self.cell.joint_names[columns[int(off.argmax())]]
+                arm, far = self.cell.arm_names[k], float(off.max())
+                reason = f"arm {arm} is not on the way of its joints: {joint} is {far:.3g} rad (or m) off"
+                watch.lower(Watch.holding(reason, Cause.INPUT))
+
+    @property
+    def contact_due(self) -> bool:
+        """Whether a change of contact is not taken yet."""
+        return self.contact is not None and self.contact.due(self.state.clock, self.state.taken)
 
     def _twist(self, now: pin.SE3) -> Array:
         """The twist of the object in the last step as commanded, in its own frame (6,) [m/s, rad/s]."""
@@ -358,6 +402,8 @@ class PlainLoop:
         if self._brakes_together:
             further = further.and_also(self._braking.rows(s.q, s.v, h, seen.carried[0].translation))
         null_along, null_offset = self._null_space_reference(span, hold=seen.watch.hold)
+        if self._chain.apart:
+            null_along, null_offset = self._own_ways(null_along, null_offset, span, h, hold=seen.watch.hold)
         asked = None if s.predicted is None else s.asked_shift
         given = StepInput(
             s.q, self.cell.positions(s.q), seen.carried, seen.errors, s.v, s.v_before, h, cap, seen.pose, along,
@@ -414,6 +460,21 @@ class PlainLoop:
         else:
             slope, offset = nothing, self._posture.velocity(s.q)
         return slope, nothing if hold else s.reins.ease * offset
+
+    def _own_ways(self, along: Array, offset: Array, span: float, h: float, *, hold: bool) -> tuple[Array, Array]:
+        """The same with the joints of arms that follow their own way."""
+        s, motion = self.state, self._motion
+        assert motion is not None
+        along, offset, x = along.copy(), offset.copy(), self.cell.positions(s.q)
+        gain = 0.0 if hold else min(self.options.grasp_gain, 1.0 / h)
+        for k in self._chain.apart:
+            columns, way = self._chain.moving_columns[k], motion.leading(k, s.clock)
+            assert way is not None
+            now, speed = way.at(s.clock)
+            later = way.at(min(s.clock + span, way.end))[0]
+            along[columns] = (later - now) / span if span > 1e-12 else speed
+            offset[columns] = gain * (now - x[columns])
+        return along, offset
 
     # -- commit ----------------------------------------------------------------------------------------------------
 

@@ -37,6 +37,8 @@ class LoopState:
             corrected (N, 6); None if nothing is.
         grasp_shift: by how much the grasps have given way so far (N, 6).
         asked_shift: by how much more since the last step, without the mean of all (N, 6); None for nothing.
+        latched: keeps the object's measured pose without a jump where other arms hold it than before (6,).
+        taken: the clock up to which changes of contact are taken [s].
         started, chain_held: a step was made since the start; the commands had led the arms too far apart in it.
         first: no step was made yet on this path.
         lost: the path failed in the last step.
@@ -62,6 +64,8 @@ class LoopState:
     mismatch: Array | None = None
     grasp_shift: Array | float = 0.0
     asked_shift: Array | None = None
+    latched: Array | float = 0.0
+    taken: float = 0.0
     started: bool = False
     chain_held: bool = False
     first: bool = True

@@ -69,7 +69,7 @@ from coopqp.simulation.plants.physics import PhysicsPlant
 from coopqp.simulation.plants.physics_options import PhysicsOptions
 from coopqp.simulation.recording.recording import Recording
 from coopqp.simulation.recording.scene import describe_object
-from coopqp.simulation.simulate import ProgressCallback, simulate
+from coopqp.simulation.simulate import ProgressCallback, refuse_for_plant, simulate
 from coopqp.solvers.choice import default_solver
 from coopqp.spatial import Array
 
@@ -313,7 +313,7 @@ def load(file: Path) -> CellRun:
     with _errors_of(file):
         run = replace(build(settings, file.parent), file=file)
         run.controller()
-        run.plant()
+        refuse_for_plant(run.scenario.path, run.plant())
         SensorMaps(run.scenario.cell, run.sensors).check()
     return run
 
@@ -403,12 +403,12 @@ def _parts(file: CellFile, folder: Path) -> _Parts:
         if q_start is not None:
             q_start = freed.configuration(cell.positions(q_start))
         cell, grasp = freed.cell, freed.grasp
-    if file.path is None:
-        path = build_program(file.phases, file.signals_s, cell, grasp, _path)
     near = q_start is not None and file.start.inverse_kinematics and not latched
     box = Body("object", Box(file.object.size_m), build_placement(file.object.centre))
     table = file.collision
     scene = None if table is None else build_scene(table, cell, grasp, box, folder, build_placement)
+    if file.path is None:
+        path = build_program(file, cell, grasp, q_start, scene, _path)
     return _Parts(file, cell, grasp, path, q_start, near, scene, box)
 
 

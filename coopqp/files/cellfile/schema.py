@@ -34,7 +34,7 @@ from coopqp.files.cellfile.basic import (
 from coopqp.files.cellfile.bodies import CollisionTable
 from coopqp.files.cellfile.path_tables import HoldTable, LineTable, TimedTable, WaypointsTable
 from coopqp.files.cellfile.paths import check_inside
-from coopqp.files.cellfile.phases import MAX_PHASES, PhaseTable
+from coopqp.files.cellfile.phases import MAX_PHASES, AttachTable, PhaseTable
 from coopqp.files.cellfile.search_tables import SearchTable
 from coopqp.files.cellfile.sensors import DisturbancesTable, SensorTable
 from coopqp.files.cellfile.strict import MAX_LIST, Number, Numbers, Table, problem, table_of
@@ -351,6 +351,9 @@ class CellFile(Table):
     signals_s: dict[Name, Annotated[float, Ge(0.0), Le(1e5)]] = Field(
         default={}, description="when signals of phases come by themselves, after the start of a run"
     )
+    attach: AttachTable = Field(
+        default_factory=AttachTable, description="in phases: how far from its grasp a tool may be where it attaches"
+    )
     start: StartTable = Field(
         default_factory=StartTable,
         description='start configuration of the arms; "auto" (default): coopqp finds one that follows the path',
@@ -399,8 +402,6 @@ class CellFile(Table):
             raise problem("give path or phases, not both")
         if self.phases and self.controller.kind != "qp":
             raise problem("phases: only the controller qp follows a program")
-        if self.phases and self.plant.kind != "kinematic":
-            raise problem("phases: in the physics engine grips stay closed; give the kinematic plant")
         names, used = [robot.name for robot in self.robots], {arm.of for arm in self.arms}
         if len(set(names)) < len(names):
             raise problem("robots: two have one name")

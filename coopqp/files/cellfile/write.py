@@ -21,7 +21,9 @@ from coopqp.forces.calibration import Calibration
 from coopqp.model.cell import RobotCell
 from coopqp.paths.timed import TimedPath
 from coopqp.planning.planner import Plan
-from coopqp.spatial import Array
+from coopqp.programs.program import Phase, Program
+from coopqp.programs.roles import Follows, Role
+from coopqp.spatial import Array, as_placement
 
 
 def relative(path: Path, into: Path) -> str:
@@ -56,7 +58,7 @@ def move_files(tables: list[dict[str, Any]], arms: Sequence[ArmTable | RobotTabl
 
 def file_text(head: Sequence[str], tables: Mapping[str, Any]) -> str:
     """A cell file in TOML: comment lines, then its tables. The path comes last: its entries are long."""
-    order = sorted(tables, key=lambda key: key == "path")
+    order = sorted(tables, key=lambda key: key in ("path", "phases"))
     return "\n".join([*(f"# {line}" for line in head), *toml_lines({key: tables[key] for key in order})]) + "\n"
 
 
@@ -124,11 +126,25 @@ def planned_text(run: CellRun, plan: Plan, *, folder: Path, into: Path) -> str:
     return timed_text(run.settings, run.scenario.cell, plan.q_start, plan.path, head, folder=folder, into=into, dt=dt)
 
 
+def planned_program_text(run: CellRun, program: Program, *, folder: Path, into: Path) -> str:
+    """A program that :func:`coopqp.planning.time_program` has timed as a cell file in TOML, bit for bit.
+
+    Args:
+        run: the run of the cell file that was planned for; its start stays.
+        program: the timed program.
+        folder, into: folders of that file, and of the new one.
+    """
+    task, settings = run.scenario, run.settings
+    dt = task.dt if settings.steps is not None or task.dt != DEFAULT_DT else None
+    head = f"{program.duration:.4g} s, each phase from rest to rest, planned by coopqp. Time laws are in its phases."
+    return timed_text(settings, task.cell, task.q_start, program, head, folder=folder, into=into, dt=dt)
+
+
 def timed_text(
     settings: CellFile,
     cell: RobotCell,
     q_start: Array,
-    path: TimedPath,
+    path: TimedPath | Program,
     head: str,
     *,
     folder: Path,
@@ -149,8 +165,22 @@ def timed_text(
     tables = settings.model_dump(exclude_none=True, exclude_unset=True)
     move_files(tables["arms"], settings.arms, folder, into)
     move_files(tables.get("robots", []), settings.robots, folder, into)
+    if isinstance(path, Program):
+        tables["phases"] = [_phase_table(phase) for phase in path.phases]
+    else:
+        tables["path"] = _timed_table(path)
+    x = cell.positions(q_start)
+    positions = {name: x[own].tolist() for name, own in cell.blocks.items()}
+    tables["start"] = {"positions_rad": positions, "inverse_kinematics": False}
+    tables.pop("steps", None)
+    if dt is not None:
+        tables["dt_s"] = dt
+    return file_text([head], tables)
+
+
+def _timed_table(path: TimedPath) -> dict[str, Any]:
     record = path.record()
-    tables["path"] = {
+    table = {
         "kind": "timed",
         **({} if record["planned_share"] is None else {"planned_share": record["planned_share"]}),
         "pieces": record["pieces"],
@@ -160,14 +190,35 @@ def timed_text(
         "binding": record["binding"],
     }
     if (elbows := record["elbows"]) is not None:
-        tables["path"]["elbows"] = {name: elbows[own] for name, own in ELBOWS.items()}
-    x = cell.positions(q_start)
-    positions = {name: x[own].tolist() for name, own in cell.blocks.items()}
-    tables["start"] = {"positions_rad": positions, "inverse_kinematics": False}
-    tables.pop("steps", None)
-    if dt is not None:
-        tables["dt_s"] = dt
-    return file_text([head], tables)
+        table["elbows"] = {name: elbows[own] for name, own in ELBOWS.items()}
+    return table
+
+
+def _phase_table(phase: Phase) -> dict[str, Any]:
+    """A phase of a planned program."""
+    table: dict[str, Any] = {"name": phase.name}
+    if isinstance(phase.path, TimedPath):
+        table["path"] = _timed_table(phase.path)
+    else:
+        table["duration_s"] = phase.seconds
+    if phase.until is not None:
+        table["until"] = phase.until
+    arms = {name: _role_table(role) for name, role in phase.arms.items()}
+    return table | ({"arms": arms} if arms else {})
+
+
+def _role_table(role: Role) -> dict[str, Any]:
+    if not isinstance(role, Follows):
+        return {"kind": "holds" if role.holds else "waits"}
+    frame, rests = as_placement(role.frame, "Follows: frame"), not isinstance(role.on, TimedPath)
+    still = {"kind": "hold", "pose": {"matrix": _matrix(role.on.pose(0.0))}, "duration_s": float(role.on.duration)}
+    return {
+        "kind": "follows",
+        "holds": role.holds,
+        **({} if role.holds_after is None else {"holds_after": role.holds_after}),
+        "frame": {"matrix": _matrix(frame)},
+        "path": still if rests else _timed_table(role.on),  # type: ignore[arg-type]
+    }
 
 
 def settings_of(metadata: Mapping[str, Any], given: Path | None) -> tuple[CellFile, Path | None]:

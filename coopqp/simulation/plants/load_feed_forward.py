@@ -53,9 +53,8 @@ class LoadFeedForward:
                 raise InvalidInputError("its gravity is another one", "PhysicsPlant: load", "Set cell.model.gravity.")
         self._cell, self._grasp, self._options, self._load, self._armature = cell, grasp, options, load, armature
         self._weight = -object_mass * np.array(options.gravity)
-        shares, lever = self._shares(centre)
-        self._forces = np.outer(shares, self._weight)  # of the arms on the object, world axes
-        self._lever = lever / len(cell)
+        self._centre = centre
+        self.reset()
         self._data = cell.model.createData()
         #: Arm and index of every joint.
         self._own_joints = (
@@ -63,22 +62,51 @@ class LoadFeedForward:
             np.arange(cell.nv),
         )
 
-    def _shares(self, centre: Array) -> tuple[Array, Array]:
+    def reset(self) -> None:
+        """All arms bear the weight by their shares."""
+        shares, lever = self._shares(np.array([X.translation for X in self._grasp.T_object_tool]))
+        self._forces = np.outer(shares, self._weight)  # of the arms on the object, world axes
+        self._levers = np.tile(lever / len(self._cell), (len(self._cell), 1))
+        self._borne: tuple[bool, ...] = (True,) * len(self._cell)
+        self._goal = self._ways = self._forces, self._levers
+        self._left = 0.0
+
+    def hand_over(self, bears: tuple[bool, ...], grasp: Grasp, part: float) -> None:
+        """Go over to the shares of the arms that bear the weight (N,), in parts of the whole way.
+
+        Args:
+            bears: at least one of the arms.
+            grasp: where the tools are on the object.
+            part: of the way from one set of arms to the next.
+        """
+        if bears != self._borne:
+            points = np.array([X.translation for X in grasp.T_object_tool])[list(bears)]
+            alone, lever = self._shares(points) if all(bears) else _least_moment(points, self._centre)
+            shares, levers = np.zeros(len(bears)), np.zeros((len(bears), 3))
+            shares[list(bears)], levers[list(bears)] = alone, lever / len(points)
+            goal = np.outer(shares, self._weight), levers
+            self._ways = goal[0] - self._forces, goal[1] - self._levers
+            self._goal, self._borne, self._left = goal, bears, 1.0
+        if self._left > 0.0:
+            part = min(part, self._left)
+            self._left -= part
+            self._forces, self._levers = (
+                self._goal
+                if self._left <= 0.0
+                else (self._forces + part * self._ways[0], self._levers + part * self._ways[1])
+            )
+
+    def _shares(self, points: Array) -> tuple[Array, Array]:
         """Each arm's share of the weight (N,), and the lever (3,) [m], in object axes, of the moment they leave."""
         n = len(self._cell)
-        points = np.array([X.translation for X in self._grasp.T_object_tool])
         if self._options.load_shares is None:
-            system = np.vstack([np.ones(n), (points - centre).T])
-            shares = np.linalg.lstsq(system, np.array([1.0, 0.0, 0.0, 0.0]), rcond=1e-9)[0]
-            total = float(shares.sum())
-            shares = shares / total if abs(total) > 1e-6 else np.full(n, 1.0 / n)
-        else:
-            shares = as_vector(self._options.load_shares, n, "PhysicsOptions: load_shares")
-            if abs(float(shares.sum()) - 1.0) > 1e-9:
-                raise InvalidInputError(
-                    f"load_shares {shares.tolist()} do not sum to 1", "PhysicsOptions", "Give shares of the weight."
-                )
-        return shares, centre - shares @ points
+            return _least_moment(points, self._centre)
+        shares = as_vector(self._options.load_shares, n, "PhysicsOptions: load_shares")
+        if abs(float(shares.sum()) - 1.0) > 1e-9:
+            raise InvalidInputError(
+                f"load_shares {shares.tolist()} do not sum to 1", "PhysicsOptions", "Give shares of the weight."
+            )
+        return shares, self._centre - shares @ points
 
     def torque(self, q: Array, velocity: Array | None = None, acceleration: Array | None = None) -> Array:
         """Torques (nv,) [N·m or N] at ``q`` (nq,), at rest by default.
@@ -105,7 +133,7 @@ class LoadFeedForward:
         R_object = tools[0].rotation @ self._grasp.T_object_tool[0].rotation.T
         points = np.array([T.translation for T in tools])
         # about the world's origin, like J
-        moments = cross((R_object @ self._lever)[None], self._weight[None]) + cross(points, self._forces)
+        moments = cross(self._levers @ R_object.T, self._weight[None]) + cross(points, self._forces)
         by_arm: Array = np.hstack([self._forces, moments]) @ J  # (N, nv): of the wrench of each arm
         return by_arm[self._own_joints]
 
@@ -123,3 +151,13 @@ class LoadFeedForward:
         if self._options.gravity_compensation:
             arms = arms - pin.computeGeneralizedGravity(self._cell.model, self._data, q)
         return out + self._options.assumed_mass * arms + self._armature * dv
+
+
+def _least_moment(points: Array, centre: Array) -> tuple[Array, Array]:
+    """Shares of the weight (N,) at grasps (N, 3) [m], of the least moment, and the lever (3,) of what they leave."""
+    n = len(points)
+    system = np.vstack([np.ones(n), (points - centre).T])
+    shares = np.linalg.lstsq(system, np.array([1.0, 0.0, 0.0, 0.0]), rcond=1e-9)[0]
+    total = float(shares.sum())
+    shares = shares / total if abs(total) > 1e-6 else np.full(n, 1.0 / n)
+    return shares, centre - shares @ points

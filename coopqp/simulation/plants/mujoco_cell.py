@@ -90,15 +90,24 @@ class MujocoCell:
         """Move the grip points with the object's size, a multiple of its first one."""
         self.model.site_pos[self._grip_sites] = size * self._gripped_at
 
-    def open(self) -> None:
-        """Open all welds."""
-        self.data.eq_active[self._welds] = 0
+    def open(self, k: int | None = None) -> None:
+        """Open all welds, or that of arm k."""
+        self.data.eq_active[self._welds if k is None else self._welds[k]] = 0
+        self._fresh = False
+
+    def attach(self, k: int) -> None:
+        """Close the weld of arm k where its tool is: the grip point goes there first, so nothing is pulled."""
+        self._refresh()
+        site, X = self._grip_sites[k], self._tools_on_object()[k]
+        self.model.site_pos[site], self.model.site_quat[site] = X.translation, quaternion(X.rotation)
+        self._gripped_at[k] = X.translation
+        self.data.eq_active[self._welds[k]] = 1
         self._fresh = False
 
     @property
-    def welds_hold(self) -> bool:
-        """True while all welds are closed."""
-        return bool(self.data.eq_active[self._welds].all())
+    def welds(self) -> tuple[bool, ...]:
+        """Which welds are closed (N,)."""
+        return tuple(bool(active) for active in self.data.eq_active[self._welds])
 
     def drive(self, control: Array, applied: Array | None = None) -> None:
         """Inputs of the actuators (nv,), and torques beside them (nv,)."""

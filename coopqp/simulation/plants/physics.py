@@ -16,12 +16,13 @@ import numpy as np
 import pinocchio as pin
 
 from coopqp.checks import ArrayLike, as_options, as_scalar, as_vector, read_only, require
-from coopqp.control.interface import ControlStep
+from coopqp.control.interface import ControlStep, Status
 from coopqp.errors import CoopqpError, InvalidInputError
 from coopqp.forces.grips import Grip
 from coopqp.forces.load_sharing import LoadShare
 from coopqp.model.cell import RobotCell
 from coopqp.model.grasp import Grasp
+from coopqp.paths.grasp_motion import GraspMotion
 from coopqp.paths.time_law import TimeLaw
 from coopqp.simulation.plants.disturbances import Disturbances
 from coopqp.simulation.plants.drives import TorqueDrives
@@ -38,6 +39,10 @@ if TYPE_CHECKING:
     from coopqp.paths.scenario import Scenario
 
 __all__ = ["PhysicsError", "PhysicsOptions", "PhysicsPlant"]
+
+
+#: The drives hand the weight from arm to arm over in this time [s].
+_HAND_OVER = 0.2
 
 
 class PhysicsError(CoopqpError):
@@ -163,6 +168,8 @@ class PhysicsPlant:
         self.time, self._clock = 0.0, 0.0
         self._torque, self._velocity = np.zeros(cell.nv), np.zeros(cell.nv)
         self._limited = np.zeros(cell.nv, dtype=bool)
+        #: Which arms hold the object.
+        self._holds = (True,) * len(cell)
 
     @staticmethod
     def of(scenario: Scenario, **more: Any) -> PhysicsPlant:
@@ -191,7 +198,8 @@ class PhysicsPlant:
         O = self._engine.grip(self._real_grasp.T_object_tool, where_they_are=self.options.grips == "where they are")
         if self._palms is not None:
             self._palms.reset(O)
-        self.time = 0.0
+        self.time, self._holds = 0.0, (True,) * len(self.cell)
+        self._feed_forward.reset()
         h = self.options.timestep
         still, torque = np.zeros(self.cell.nv), self._load_torque(start)
         if self._drives is not None:
@@ -221,6 +229,8 @@ class PhysicsPlant:
         """Drive the joints to ``step.q_next`` in ``step.dt``. Returns the measured configuration (nq,) at the end."""
         dt = as_scalar(step.dt, "PhysicsPlant.apply: step.dt")
         q_next = self.cell.check_configuration(step.q_next, "PhysicsPlant.apply: step.q_next")
+        if self.follows_contact and step.path.grasps is not None:
+            self._take_contact(step, step.path.grasps, dt)
         targets = self._targets
         targets.push(q_next, dt)
         if self._palms is not None:
@@ -256,8 +266,8 @@ class PhysicsPlant:
 
     @property
     def gripped(self) -> bool:
-        """True while every arm holds the object, or touches it with its palm; recordings say it."""
-        return self._engine.welds_hold if self._palms is None else self._palms.touch
+        """True while every arm that is to hold the object does, or touches it with its palm; recordings say it."""
+        return self._engine.welds == self._holds if self._palms is None else self._palms.touch
 
     # -- readings ------------------------------------------------------------------------------------------------
 
@@ -323,6 +333,29 @@ class PhysicsPlant:
         return str(self._spec.to_xml())
 
     # -- inside --------------------------------------------------------------------------------------------------
+
+    @property
+    def follows_contact(self) -> bool:
+        """Whether arms let go and attach along a program: with welds, where each joint's drive has its own load."""
+        return self._palms is None and self.load is None
+
+    def _take_contact(self, step: ControlStep, motion: GraspMotion, dt: float) -> None:
+        """Open and close the grips as the program says: each closes where its tool is.
+
+        The drives hand the weight over ahead of a release and after an attachment, in :data:`_HAND_OVER`.
+        """
+        holds = motion.holds(step.clock)
+        if step.status not in (Status.HOLDING, Status.FAULT):  # an arm that is not where it grasps does not attach
+            for k, (wanted, held) in enumerate(zip(holds, self._holds, strict=True)):
+                if wanted and not held:
+                    self._engine.attach(k)
+                elif held and not wanted:
+                    self._engine.open(k)
+            self._holds = holds
+        soon = motion.holds(step.clock + step.sense * _HAND_OVER) if step.sense else holds
+        bears = tuple(a and b for a, b in zip(self._holds, soon, strict=True))
+        placed = self.grasp.moved_by(motion.placements(step.clock))
+        self._feed_forward.hand_over(bears if any(bears) else self._holds, placed, dt / _HAND_OVER)
 
     def _grow(self, time: float) -> None:
         """Move the grips with the object's size at a time since the start [s]."""
