@@ -10,6 +10,7 @@ import sphinx.util.inspect
 from myst_parser.parsers.sphinx_ import MystParser
 
 sys.path.insert(0, str(Path(__file__).parent))
+import class_examples
 import gallery
 from execute_notebooks import as_markdown
 
@@ -28,6 +29,7 @@ extensions = [
 myst_enable_extensions = ["colon_fence", "deflist", "dollarmath"]
 mathjax3_config = {"tex": {"macros": {"dt": r"\mathrm{d}t", "Ad": r"\operatorname{Ad}"}}}
 myst_heading_anchors = 3
+highlight_language = "python"
 exclude_patterns = ["examples/**", "_build"]
 source_suffix = {".md": "markdown", ".ipynb": "notebook"}
 
@@ -81,6 +83,24 @@ def _scenes(app, docname, source):
     source[0] = re.sub(r"<!-- plays: (\w+) -->", frame, re.sub(r"<!-- 3d: (\w+) -->", link, source[0]))
 
 
+def _example(app, what, name, obj, options, lines):
+    """Show the example of a class below its text."""
+    code = class_examples.example_of(name) if what in ("class", "exception") else ""
+    if code:
+        lines += ["", "Example::", "", *(f"   {line}" for line in code.splitlines()), ""]
+
+
+def _before_examples(app, docname, source):
+    """Show what the examples of a page of the reference go on from."""
+    page = docname.partition("reference/")[2]
+    before = class_examples.sections(page).get(class_examples.BEFORE) if page else None
+    if before:
+        head, title, rest = source[0].partition("\n")
+        source[0] = (
+            f"{head}{title}\nThe examples of this page go on from these lines:\n\n```python\n{before}\n```\n{rest}"
+        )
+
+
 class NotebookParser(MystParser):
     """Shows executed notebooks as they are."""
 
@@ -126,6 +146,8 @@ def setup(app):
     gallery.make_scenes(GALLERY)  # those that are up to date stay
     app.add_source_parser(NotebookParser)
     app.connect("source-read", _scenes)
+    app.connect("source-read", _before_examples)
+    app.connect("autodoc-process-docstring", _example, priority=900)  # after napoleon
     app.connect("html-page-context", _level_of_captions, priority=900)  # after the theme has made them
     app.connect("source-read", _include_text)
     app.connect("autodoc-process-docstring", _one_attribute_a_line, priority=300)  # before napoleon

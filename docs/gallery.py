@@ -121,7 +121,7 @@ ENTRIES = (
     Entry("conveyor", RX90, "Conveyor tracking",
           "A belt carries a part past an arm, which goes along and draws a line on it.",
           "[A conveyor sets the pace](tutorials/12-conveyor.md)", azimuth=60.0, elevation=35.0),
-    Entry("ring", RX90, "Load sharing: eight arms round one plate",
+    Entry("ring", RX90, "Eight arms round one plate",
           "Eight arms at equal distances lift one plate; each carries its part.",
           "[Load distribution](howto/load.md)", elevation=35.0),
     Entry("kuka_lift", MAKES, "Three KUKA KR 16-2",
