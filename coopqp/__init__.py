@@ -24,5 +24,5 @@ The names that most programs need are here, the others in their packages.
 
 from coopqp.lazy import attach
 
-__version__ = "0.1.0"
+__version__ = "0.2.0"
 __getattr__, __dir__, __all__ = attach(__name__, __file__)

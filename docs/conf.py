@@ -1,8 +1,18 @@
 """Sphinx: ``make docs`` builds these pages, warnings as errors."""
 
+import json
 import re
+import sys
 from importlib.metadata import version as installed_version
 from pathlib import Path
+
+import sphinx.util.inspect
+from myst_parser.parsers.sphinx_ import MystParser
+
+sys.path.insert(0, str(Path(__file__).parent))
+import class_examples
+import gallery
+from execute_notebooks import as_markdown
 
 project = "coopqp"
 author = "The coopqp authors"
@@ -19,18 +29,22 @@ extensions = [
 myst_enable_extensions = ["colon_fence", "deflist", "dollarmath"]
 mathjax3_config = {"tex": {"macros": {"dt": r"\mathrm{d}t", "Ad": r"\operatorname{Ad}"}}}
 myst_heading_anchors = 3
+highlight_language = "python"
 exclude_patterns = ["examples/**", "_build"]
+source_suffix = {".md": "markdown", ".ipynb": "notebook"}
 
 html_theme = "furo"
 html_title = f"coopqp {release}"
 html_static_path = ["static"]
 html_css_files = ["pages.css"]
-html_extra_path = ["llms.txt"]  # an overview for language models
+GALLERY = Path(__file__).parents[1] / "build" / "gallery"
+html_extra_path = ["llms.txt", str(GALLERY)]  # an overview for language models; the pages in 3D
 
 autodoc_member_order = "bysource"
 autodoc_typehints = "signature"  # shapes and units are in the text
 autodoc_typehints_format = "short"
 autodoc_type_aliases = {name: name for name in ("Array", "ArrayLike", "Placement", "ProgressCallback")}
+sphinx.util.inspect.TypeAliasForwardRef.__repr__ = lambda alias: alias.name  # else its own name stands on the page
 autodoc_preserve_defaults = True
 autodoc_class_signature = "mixed"
 napoleon_use_ivar = True
@@ -53,6 +67,48 @@ def _include_text(app, docname, source):
     source[0] = re.sub(r"<!-- include: (\S+) -->", text, source[0])
     if not (ROOT / "docs/reliability.md").is_file():
         source[0] = source[0].replace("\nreliability\n", "\n")
+
+
+def _scenes(app, docname, source):
+    """Put the pages in 3D in place of ``<!-- 3d: NAME -->`` (a link) and ``<!-- plays: NAME -->`` (a frame)."""
+
+    def frame(match):
+        e = gallery.entry(match[1])
+        return f'<iframe class="plays" loading="lazy" title="{e.title}, in 3D" src="3d/{e.name}.html"></iframe>'
+
+    def link(match):
+        title = gallery.entry(match[1]).title
+        return f'<a href="3d/{match[1]}.html" aria-label="{title}, in 3D">plays in 3D</a> · '
+
+    source[0] = re.sub(r"<!-- plays: (\w+) -->", frame, re.sub(r"<!-- 3d: (\w+) -->", link, source[0]))
+
+
+def _example(app, what, name, obj, options, lines):
+    """Show the example of a class below its text."""
+    code = class_examples.example_of(name) if what in ("class", "exception") else ""
+    if code:
+        lines += ["", "Example::", "", *(f"   {line}" for line in code.splitlines()), ""]
+
+
+def _before_examples(app, docname, source):
+    """Show what the examples of a page of the reference go on from."""
+    page = docname.partition("reference/")[2]
+    before = class_examples.sections(page).get(class_examples.BEFORE) if page else None
+    if before:
+        head, title, rest = source[0].partition("\n")
+        source[0] = (
+            f"{head}{title}\nThe examples of this page go on from these lines:\n\n```python\n{before}\n```\n{rest}"
+        )
+
+
+class NotebookParser(MystParser):
+    """Shows executed notebooks as they are."""
+
+    supported = ("notebook",)
+
+    def parse(self, inputstring, document):
+        name = Path(document.settings.env.doc2path(document.settings.env.docname)).name
+        super().parse(as_markdown(json.loads(inputstring), name), document)
 
 
 def _plain_bars(app, what, name, obj, options, lines):
@@ -87,6 +143,11 @@ def _level_of_captions(app, pagename, templatename, context, doctree):
 
 
 def setup(app):
+    gallery.make_scenes(GALLERY)  # those that are up to date stay
+    app.add_source_parser(NotebookParser)
+    app.connect("source-read", _scenes)
+    app.connect("source-read", _before_examples)
+    app.connect("autodoc-process-docstring", _example, priority=900)  # after napoleon
     app.connect("html-page-context", _level_of_captions, priority=900)  # after the theme has made them
     app.connect("source-read", _include_text)
     app.connect("autodoc-process-docstring", _one_attribute_a_line, priority=300)  # before napoleon

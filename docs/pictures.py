@@ -25,6 +25,7 @@ from importlib.metadata import version
 from pathlib import Path
 
 import numpy as np
+from gallery import ENTRIES
 from numpy.typing import NDArray
 from PIL import Image, ImageSequence
 
@@ -34,6 +35,7 @@ ROOT = Path(__file__).parents[1]
 PROGRAMS: Mapping[str, tuple[str, ...]] = {
     "coopqp demo --quiet --out {out}": ("docs/images/paper_lift.png", "docs/images/figure5.png"),
     "coopqp new new_cell --arm panda --arm xarm7 --quiet --out {out}": ("docs/howto/new_cell.png",),
+    "python docs/gallery.py --out {out}": tuple(f"docs/images/gallery_{e.name}.webp" for e in ENTRIES),
     "python docs/movie.py --out {out}": ("docs/images/two_lifts.gif",),
     "python docs/route_movie.py --out {out}": ("docs/images/way_round.gif",),
     "python docs/screenshots.py viewer --out {out}": ("docs/images/viewer.png",),

@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import Any
 from urllib.parse import unquote, urldefrag
 
+import numpy as np
 import pytest
 from browser import Page
 from places import DOCS
@@ -35,6 +36,7 @@ SEARCHES = {
 READ = (
     "index.html", "faq.html", "troubleshooting.html", "derivations.html", "notation.html", "beside.html",
     "tutorials/1-paper-lift.html", "tutorials/8-nothing-touches.html", "howto/cell-file.html", "howto/look.html",
+    "gallery.html", "notebooks/first_cell.html", "reference.html", "reference/model.html", "reference/control.html",
 )  # fmt: skip
 SEARCHED = "!!document.querySelector('.search-summary')?.innerText.match(/\\d|not/)"
 RESULTS = "[...document.querySelectorAll('#search-results li > a')].map(a => a.getAttribute('href'))"
@@ -99,6 +101,38 @@ def test_the_pages_build_and_no_link_is_dead(site: Path) -> None:
     assert dead == []
 
 
+@pytest.mark.slow
+def test_no_page_shows_how_sphinx_names_an_alias(site: Path) -> None:
+    assert [file.name for file in site.rglob("*.html") if "TypeAliasForwardRef" in file.read_text("utf-8")] == []
+
+
+@pytest.mark.slow
+def test_the_front_page_plays_without_a_server(site: Path, page: Page) -> None:
+    """Opened from its folder: the frame loads its page and the viewer beside it, and nothing else."""
+    page.open((site / "index.html").as_uri())
+    page.wait_until(lambda: page.evaluate("!!document.querySelector('iframe.plays')"))
+    page.evaluate("document.querySelector('iframe.plays').scrollIntoView()")
+    played = site / "3d" / "bar_over_post.html"
+    wanted = {played.as_uri(), (played.parent / "viewer.js").as_uri()}
+    page.wait_until(lambda: page.screenshot() is not None and wanted <= set(page.requests))
+    assert [url for url in page.requests if not url.startswith(("file:", "data:", "blob:"))] == []
+
+
+@pytest.mark.slow
+def test_a_page_of_the_gallery_plays_without_a_server(site: Path, page: Page) -> None:
+    """The viewer stands beside it in a file of its own."""
+    file = site / "3d" / "bar.html"
+    page.open(file.as_uri())
+    page.wait_until(lambda: page.evaluate("!!document.querySelector('[class*=Slider-track]')"))
+    page.wait_until(lambda: (np.ptp(page.screenshot(), axis=2) > 60).mean() > 0.01)  # arms and object have colours
+    clock = "document.querySelector('[data-slot=clock]').textContent"
+    first = page.evaluate(clock)
+    page.wait_until(lambda: page.screenshot() is not None and page.evaluate(clock) != first)
+    assert page.errors == []
+    wanted = {file.as_uri(), (file.parent / "viewer.js").as_uri()}
+    assert {url for url in page.requests if not url.startswith(("data:", "blob:"))} == wanted
+
+
 def test_the_overview_for_language_models_names_pages_that_exist() -> None:
     lines = (DOCS / "llms.txt").read_text(encoding="utf-8").split("](")[1:]
     pages = [line.partition(")")[0].removesuffix(".html") for line in lines]
@@ -125,6 +159,8 @@ def test_no_reader_is_kept_out(address: str, page: Page) -> None:
     serious, wide = {}, []
     for name in READ:
         page.open(f"{address}/{name}")
+        whole = f"location.pathname === '/{name}' && document.readyState === 'complete'"
+        page.wait_until(lambda whole=whole: page.evaluate(whole))  # half of a list would be no list
         page.evaluate(axe + "; true")
         page.evaluate("window.found = null; axe.run().then(r => { window.found = r.violations }); true")
         page.wait_until(lambda: page.evaluate("window.found !== null"))

@@ -120,6 +120,18 @@ def test_scripts_that_the_flows_name_are_there() -> None:
             assert (ROOT / script).is_file(), script
 
 
+def test_version_changelog_and_citation_name_the_same_release() -> None:
+    """Above the newest release stands what is not released yet."""
+    text = (ROOT / "CHANGELOG.md").read_text(encoding="utf-8")
+    heads = re.findall(r"^## \[(.+?)\](?: – (\d{4}-\d{2}-\d{2}))?$", text, flags=re.M)
+    assert heads[0] == ("Unreleased", "")
+    version, day = heads[1]
+    cited = YAML(typ="safe", pure=True).load((ROOT / "CITATION.cff").read_text(encoding="utf-8"))
+    source = (ROOT / "coopqp" / "__init__.py").read_text(encoding="utf-8")
+    assert f'__version__ = "{version}"' in source
+    assert (str(cited["version"]), str(cited["date-released"])) == (version, day)
+
+
 def test_the_page_names_each_file_of_a_release() -> None:
     page = (DOCS / "releasing.md").read_text(encoding="utf-8")
     for name in (
