@@ -1,11 +1,14 @@
 """Joints that arms share: one command, one proof for all arms, a group at a singularity, runs with a torso.
 
-What judges a run is one Pinocchio model of the whole robot, read from the URDF by itself.
+What judges a run is one Pinocchio model of the whole robot, read from the URDF by itself. Steps are those of the
+default kernel. The group takes some minutes, most of them for the checks of the random motions; it says how far it is.
 """
 
 from __future__ import annotations
 
+import sys
 import tempfile
+import time
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -16,7 +19,8 @@ import pinocchio as pin
 from coopqp import Arm, Grasp, InvalidInputError, LinePath, QPController, Robot, RobotCell, check_path, simulate
 from coopqp.model import Chain
 from coopqp.planning import PathCheck
-from coopqp.scenarios import robot_path
+from coopqp.scenarios import SHARED_JOINTS, robot_path, scenario
+from coopqp.scenarios.robots import SEVERAL_ARMS
 from coopqp.simulation import Recording
 from coopqp.spatial import Array
 from promise_cases import Promise
@@ -130,6 +134,11 @@ def _rise(low: float, high: float, duration: float) -> LinePath:
     return LinePath(ends[0], ends[1], duration=duration)
 
 
+def _say(what: str) -> None:
+    """How far the group is."""
+    print(f"{what} …", file=sys.stderr, flush=True)
+
+
 def promises(quick: bool) -> Iterator[Promise]:
     """The cases, with fixed seeds."""
     with tempfile.TemporaryDirectory() as name:
@@ -137,13 +146,16 @@ def promises(quick: bool) -> Iterator[Promise]:
         yield from _robots(folder, TORSOS[:3] if quick else TORSOS)
         yield from _singular(folder)
         yield from _lift()
+        yield from _scenarios()
+        yield from _cost(5 if quick else 25)
         yield from _random(folder, 6 if quick else 24)
 
 
 def _robots(folder: Path, torsos: tuple[tuple[tuple[str, str], ...], ...]) -> Iterator[Promise]:
     """Dual-arm URDFs, given as two arms and as one robot."""
     wrong = 0
-    for torso in torsos:
+    for number, torso in enumerate(torsos):
+        _say(f"robot {number + 1} of {len(torsos)}")
         cell, grasp, file = _torso_cell(torso, folder)
         tools = {side: f"{side}_link_5" for side in SIDES}
         try:
@@ -187,6 +199,60 @@ def _lift() -> Iterator[Promise]:
         yield Promise(f"{case}: object off its path", off, bound, "µm")
 
 
+#: The robots of the scenarios, and the files of their models.
+ROBOTS = {"torso_lift": "lift2", "two_on_a_rail": "rail2"}
+
+
+def _scenarios() -> Iterator[Promise]:
+    """Scenarios of arms that share a joint, at 5 rad/s², led as the check proves it."""
+    for name in SHARED_JOINTS:
+        task = scenario(name)
+        cell = task.cell.with_limits(acceleration=np.minimum(task.cell.limits.acceleration, 5.0))
+        check = check_path(cell, task.grasp, task.path)
+        run = _followed(check, dt=task.dt)
+        apart, off = _Whole(cell, task.grasp, robot_path(ROBOTS[name])).run(run)
+        yield Promise(f"{name} at 5 rad/s²: runs that do not finish", float(not run.finished), 0.0, "runs")
+        yield Promise(f"{name} at 5 rad/s²: chain", apart, 0.1, "µm")
+        yield Promise(f"{name} at 5 rad/s²: object off its path", off, 1.0, "µm")
+
+
+def _cost(rounds: int) -> Iterator[Promise]:
+    """A step of arms that share a joint over one of the same arms with that joint locked, in turn."""
+    for name in SHARED_JOINTS:
+        task = scenario(name)
+        (shared,) = task.cell.shared.tolist()
+        joint, place = task.cell.joint_names[shared].partition("/")[2], task.cell.positions(task.q_start)[shared]
+        locked = Robot(robot_path(ROBOTS[name]), SEVERAL_ARMS[ROBOTS[name]], name=name, locked_joints={joint: place})
+        alone = RobotCell([locked]).with_limits(acceleration=np.delete(task.cell.limits.acceleration, shared))
+        cells = ((task.cell, task.q_start), (alone, np.delete(task.q_start, shared)))
+        here = task.path.pose(0.0)
+        for pacing, pause in (("hot", 0.0), ("1 kHz", 1e-3)):
+            times = np.zeros((rounds, len(cells)))
+            for row in times:
+                for i, (cell, q) in enumerate(cells):
+                    path = LinePath.displaced(
+                        here, translation=(0.0, 0.05, 0.05), rotation=(0.0, 0.0, 0.1), duration=2.0
+                    )
+                    controller = QPController(cell, task.grasp, path, dt=0.005)
+                    controller.reset(q)
+                    row[i] = _median_step(controller, 300, pause)
+            ratio = float(np.median(times[:, 0] / times[:, 1]))
+            case = f"{name}: step, its shared joint over the same arms without, {pacing}"
+            yield Promise(f"{case} ({np.median(times[:, 0]):.1f} µs)", ratio, 1.3, "")
+
+
+def _median_step(controller: QPController, steps: int, pause: float) -> float:
+    """Median of the steps' times [µs], with a pause [s] before each."""
+    times = []
+    for _ in range(steps):
+        if pause:
+            time.sleep(pause)
+        began = time.perf_counter_ns()
+        controller.step()
+        times.append(time.perf_counter_ns() - began)
+    return float(np.median(times)) / 1e3
+
+
 def _random(folder: Path, count: int) -> Iterator[Promise]:
     """Random motions of a bar by a lift and by a robot with a waist, and the same at fixed heights."""
     rng = np.random.default_rng(11)
@@ -194,6 +260,7 @@ def _random(folder: Path, count: int) -> Iterator[Promise]:
     apart = 0.0
     heights = np.linspace(0.05, 0.55, 5)
     for number in range(count):
+        _say(f"random motion {number + 1} of {count}")
         lift = number % 2 == 0
         if lift:
             cell, grasp, file = _lift_cell()

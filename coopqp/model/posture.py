@@ -10,7 +10,7 @@ import pinocchio as pin
 
 from coopqp.checks import Doc, documented, keep_scalars
 from coopqp.model.cell import RobotCell
-from coopqp.model.chain import jacobian_slope
+from coopqp.model.chain import jacobian_slope, moving_columns
 from coopqp.spatial import Array
 
 
@@ -43,13 +43,15 @@ class Posture:
 
     def __init__(self, cell: RobotCell, options: PostureOptions) -> None:
         self._cell = cell
-        self._arms = [(k, s) for k, s in enumerate(cell.v_slices) if s.stop - s.start > 6]
+        moving = moving_columns(cell)
+        own = [len(np.setdiff1d(columns, cell.shared)) for columns in moving]
+        self._arms = [(k, s) for k, s in enumerate(cell.v_slices) if own[k] > 6]
         self._redundant = np.zeros(cell.nv, dtype=bool)
         for _, s in self._arms:
             self._redundant[s] = True
         for group in cell.groups:
             for k in group:
-                self._redundant[cell.columns[k]] = True
+                self._redundant[moving[k]] = True
         limits = cell.limits
         bounded = np.isfinite(limits.lower) & np.isfinite(limits.upper) & self._redundant
         self._bounded = np.flatnonzero(bounded)

@@ -38,8 +38,14 @@ static void name_cause(Cause &cause, LimitKind kind, int arm, int joint) {
     cause = Cause{(double)kind, (double)arm, (double)joint};
 }
 
+/* The arm of a joint; of a shared one the first that has it. */
 static int arm_of(const Core *c, int joint) {
     int k = 0;
+    for (int i = 0; c->groups && k < c->arms; k++, i = 0) {
+        while (i < joints_behind(c, k) && joint_behind(c, k, i) != joint) i++;
+        if (i < joints_behind(c, k)) return k;
+    }
+    k = 0;
     while (k + 1 < c->arms && c->arm_start[k + 1] <= joint) k++;
     return k;
 }
@@ -97,7 +103,7 @@ static int stretched_arm(const Core *c, int i);
 /* -- redundancy.cpp ------------------------------------------------------------------------------------- */
 
 /* Lead the joints of redundant arm k away from their limits by its self-motion. */
-static void lead_away(const Core *c, int k, const double *jacobian, const double *positions, double *slope);
+static void lead_away(Core *c, int k, const double *jacobian, const double *positions, double *slope);
 
 /* -- growth.cpp ----------------------------------------------------------------------------------------- */
 

@@ -3,13 +3,15 @@
 #include "functions.h"
 
 /* Least eigenvalue of a symmetric matrix, and its eigenvector, by Jacobi's rotations. */
-static double least_by_rotations(Matrix6 G, Vector6 *u) {
-    Matrix6 V = Matrix6::Identity(); /* eigenvectors in its rows */
+template <typename Symmetric, typename Column>
+static double least_by_rotations(Symmetric G, Column *u) {
+    const int size = Symmetric::RowsAtCompileTime < 0 ? (int)G.rows() : Symmetric::RowsAtCompileTime;
+    Symmetric V = Symmetric::Identity(size, size); /* eigenvectors in its rows */
     const double trace = G.trace();
     for (int sweep = 0; sweep < MOST_SWEEPS; sweep++) {
         double off = 0.0;
-        for (int a = 0; a < 5; a++)
-            for (int b = a + 1; b < 6; b++) {
+        for (int a = 0; a < size - 1; a++)
+            for (int b = a + 1; b < size; b++) {
                 const double g = G(a, b);
                 off = fmax(off, fabs(g));
                 if (!(fabs(g) > SMALL_ROTATION * trace)) continue;
@@ -29,19 +31,8 @@ static double least_by_rotations(Matrix6 G, Vector6 *u) {
     return fmax(found, 0.0);
 }
 
-/* The least singular value of one arm's tool Jacobian, from its J about a point `way` before the tool, and its gradient
- * over the arm's joints. */
-static double singular_edge(const double *jacobian, const Vector3 &way, int n, double *gradient) {
-    const OfArm J(jacobian, 6, n);
-    ArmColumns near(6, n);
-    for (int j = 0; j < n; j++) near.col(j) = twist_at(J.col(j), way);
-    Vector6 u;
-    least_by_rotations(near.lazyProduct(near.transpose()), &u);
-    double w[MOST_JOINTS], square = 0.0;
-    for (int j = 0; j < n; j++) w[j] = near.col(j).dot(u), square += w[j] * w[j];
-    const double size = sqrt(square);
-    for (int j = 0; j < n && size > 0.0; j++) w[j] /= size;
-    /* uᵀ (∂_j J) w: a joint turns the joints after it, and those before it turn what it does */
+/* uᵀ (∂_j J) w of an arm's n joints: a joint turns the joints after it, and those before it turn what it does. */
+static void edge_gradient(const ArmColumns &near, const Vector6 &u, const double *w, int n, double *gradient) {
     const Vector3 force = u.head<3>(), moment = u.tail<3>();
     Vector3 before = Vector3::Zero(), after = Vector3::Zero();
     for (int j = n - 1; j >= 0; j--) {
@@ -55,12 +46,65 @@ static double singular_edge(const double *jacobian, const Vector3 &way, int n, d
         gradient[j] += force.dot(before.cross(linear));
         before += w[j] * turn;
     }
+}
+
+/* The columns of the joints that move the tool of arm k, at a point `way` from that of the Jacobian. */
+static ArmColumns columns_at(const Core *c, int k, const Vector3 &way) {
+    ArmColumns near = columns_of_arm(c, k, c->jacobian);
+    for (int j = 0; j < near.cols(); j++) near.col(j) = twist_at(near.col(j), way);
+    return near;
+}
+
+/* The least singular value of one arm's tool Jacobian, at `way` from the point of J, and its gradient over the arm's joints. */
+static double singular_edge(const Core *c, int k, const Vector3 &way, double *gradient) {
+    const ArmColumns near = columns_at(c, k, way);
+    const int start = (int)c->arm_start[k], n = (int)near.cols();
+    Vector6 u;
+    least_by_rotations(Matrix6(near.lazyProduct(near.transpose())), &u);
+    double w[MOST_JOINTS], square = 0.0;
+    for (int j = 0; j < n; j++) w[j] = near.col(j).dot(u), square += w[j] * w[j];
+    const double size = sqrt(square);
+    for (int j = 0; j < n && size > 0.0; j++) w[j] /= size;
+    edge_gradient(near, u, w, n, gradient + start);
+    return size;
+}
+
+static Vector3 way_to_tool(const Core *c, int k);
+
+/* The same of a group, about each arm's tool. */
+static double group_edge(const Core *c, const Group &g, double *gradient) {
+    ArmColumns near[MOST_SHARING];
+    GroupColumns J = GroupColumns::Zero(6 * g.arms, g.joints);
+    for (int i = 0, own = g.shared; i < g.arms; i++) {
+        near[i] = columns_at(c, g.arm[i], way_to_tool(c, g.arm[i]));
+        const Eigen::Index n = near[i].cols() - g.shared;
+        J.block(6 * i, 0, 6, g.shared) = near[i].leftCols(g.shared);
+        J.block(6 * i, own, 6, n) = near[i].rightCols(n);
+        own += (int)n;
+    }
+    GroupTwists u = GroupTwists::Zero(J.rows());
+    least_by_rotations(gram_of(J), &u);
+    GroupVector w = GroupVector::Zero(g.joints);
+    w = J.transpose().lazyProduct(u);
+    const double size = w.norm();
+    if (size > 0.0) w /= size;
+    for (int i = 0, own = g.shared; i < g.arms; i++) {
+        const int n = (int)near[i].cols();
+        double mine[MOST_JOINTS], part[MOST_JOINTS];
+        for (int j = 0; j < n; j++) mine[j] = j < g.shared ? w[j] : w[own + j - g.shared];
+        edge_gradient(near[i], u.segment<6>(6 * i), mine, n, part);
+        for (int j = 0; j < n; j++) gradient[joint_behind(c, g.arm[i], j)] += part[j];
+        own += n - g.shared;
+    }
     return size;
 }
 
 /* J̇ v of one arm about a point that moves with the object. */
-static Vector6 bend(const double *jacobian, const double *v, int n) {
-    const OfArm J(jacobian, 6, n);
+static Vector6 bend(const Core *c, int k, const Vector &velocity) {
+    const ArmColumns J = columns_of_arm(c, k, c->jacobian);
+    const int n = (int)J.cols();
+    double v[MOST_JOINTS];
+    for (int j = 0; j < n; j++) v[j] = velocity[joint_behind(c, k, j)];
     Vector3 before = Vector3::Zero();
     Vector6 out = Vector6::Zero();
     for (int j = 0; j < n; j++) {
@@ -128,14 +172,17 @@ static void brake_together(Core *c) {
     carry_and_linearise(c, c->positions, c->carried[0].p, nullptr, c->jacobian);
     needed.setZero();
     for (int k = 0; k < c->arms; k++) {
-        const auto [start, n] = joints_of(c, k);
-        double away[MOST_JOINTS], s = 0.0, most = 0.0, reach = 0.0, *G = next_row(c);
-        const double sigma = singular_edge(c->jacobian + 6 * start, way_to_tool(c, k), n, away);
-        for (int j = 0; j < n; j++) {
-            G[start + j] = -away[j];
-            s -= away[j] * v[start + j];
-            most += fabs(away[j]) * c->plan_acceleration[start + j];
-            reach += fabs(away[j]) * reachable(c, start + j, h);
+        if (!leads_group(c, k)) continue;
+        const Group *g = group_of(c, k);
+        double s = 0.0, most = 0.0, reach = 0.0, *G = next_row(c);
+        const double sigma = g ? group_edge(c, *g, G) : singular_edge(c, k, way_to_tool(c, k), G);
+        for (int i = 0; i < joints_together(c, k); i++) {
+            const int j = joint_together(c, k, i);
+            const double away = G[j];
+            G[j] = -away;
+            s -= away * v[j];
+            most += fabs(away) * c->plan_acceleration[j];
+            reach += fabs(away) * reachable(c, j, h);
         }
         const double upper = edge_speed(sigma - SINGULAR_MARGIN, s, most, h, T);
         if (reach > upper) add_row(c, -INFINITY, upper, k);
@@ -148,7 +195,7 @@ static void brake_together(Core *c) {
         add_row(c, -down, up, c->arms + j);
     }
     for (int k = 0; k < c->arms; k++)
-        bends.col(k) = bend(c->jacobian + 6 * joints_of(c, k).start, v + joints_of(c, k).start, joints_of(c, k).n);
+        bends.col(k) = bend(c, k, v);
     const int singular = !two_velocities(c, c->jacobian, bends, Vector6::Zero(), nullptr, nullptr, needed, nothing);
     double used = singular ? INFINITY : 0.0, reach = 0.0, *G = next_row(c);
     for (int j = 0; j < c->joints && !singular; j++) {

@@ -62,13 +62,15 @@ static void corrections(Core *c, double h) {
 
 /* Two numbers side by side, as GCC and Clang know them; other compilers leave it to the plain step. */
 typedef double pair __attribute__((vector_size(16)));
-/* Rows of [A | b₀ b₁]: entry (i, j) is rows[i][j / 2][j % 2]. */
-typedef pair Rows[6][4];
+/* Rows of [A | b₀ b₁ …], with so many pairs of right-hand sides: entry (i, j) is rows[i][j / 2][j % 2]. */
+template <int PAIRS = 1>
+using Rows = pair[6][3 + PAIRS];
 #define UNROLL _Pragma("GCC unroll 6")
 
 /* Solve by elimination with partial pivoting; the answers take the right-hand sides' place. Returns the smallest pivot, 0 if
  * the matrix is singular. */
-static double solve6(Rows A) {
+template <int PAIRS>
+static double solve6(pair (&A)[6][3 + PAIRS]) {
     double scale = 0.0, least = INFINITY, inverse[6];
     for (int i = 0; i < 6; i++)
         for (int j = 0; j < 6; j++) {
@@ -86,7 +88,7 @@ static double solve6(Rows A) {
         if (!(largest > SMALLEST_PIVOT * scale)) return 0.0;
         least = largest < least ? largest : least;
         if (pivot != k)
-            for (int j = first; j < 4; j++) {
+            for (int j = first; j < 3 + PAIRS; j++) {
                 pair other = A[pivot][j];
                 A[pivot][j] = A[k][j];
                 A[k][j] = other;
@@ -94,17 +96,18 @@ static double solve6(Rows A) {
         inverse[k] = 1.0 / A[k][first][k % 2];
         UNROLL for (int i = k + 1; i < 6; i++) {
             double f = A[i][first][k % 2] * inverse[k];
-            for (int j = first; j < 4; j++) A[i][j] -= pair{f, f} * A[k][j];
+            for (int j = first; j < 3 + PAIRS; j++) A[i][j] -= pair{f, f} * A[k][j];
         }
     }
-    UNROLL for (int k = 5; k >= 0; k--) {
-        pair x = A[k][3];
-        UNROLL for (int j = k + 1; j < 6; j++) {
-            double f = A[k][j / 2][j % 2];
-            x -= pair{f, f} * A[j][3];
+    for (int b = 3; b < 3 + PAIRS; b++)
+        UNROLL for (int k = 5; k >= 0; k--) {
+            pair x = A[k][b];
+            UNROLL for (int j = k + 1; j < 6; j++) {
+                double f = A[k][j / 2][j % 2];
+                x -= pair{f, f} * A[j][b];
+            }
+            A[k][b] = x * pair{inverse[k], inverse[k]};
         }
-        A[k][3] = x * pair{inverse[k], inverse[k]};
-    }
     return least;
 }
 
@@ -119,14 +122,14 @@ using OfArm = Eigen::Map<const Matrix6X>;
 static double arm_velocities(const double *jacobian, const double *scale, int n, const Vector6 &w0, const Vector6 &w1,
                              const double *u0, const double *u1, double *v0, double *v1) {
     const OfArm J(jacobian, 6, n);
-    Rows A;
+    Rows<> A;
     double least;
     if (n == 6) {
         for (int i = 0; i < 6; i++) {
             for (int j = 0; j < 3; j++) A[i][j] = pair{J(i, 2 * j), J(i, 2 * j + 1)};
             A[i][3] = pair{w0[i], w1[i]};
         }
-        if (!((least = solve6(A)) > 0.0)) return 0.0;
+        if (!((least = solve6<1>(A)) > 0.0)) return 0.0;
         for (int j = 0; j < 6; j++) v0[j] = A[j][3][0], v1[j] = A[j][3][1];
         return least;
     }
@@ -138,7 +141,7 @@ static double arm_velocities(const double *jacobian, const double *scale, int n,
         for (int k = 0; k < 6; k++) A[i][k / 2][k % 2] = G(i, k);
         A[i][3] = pair{first[i], second[i]};
     }
-    if (!((least = solve6(A)) > 0.0)) return 0.0;
+    if (!((least = solve6<1>(A)) > 0.0)) return 0.0;
     Vector6 y0, y1;
     for (int i = 0; i < 6; i++) y0[i] = A[i][3][0], y1[i] = A[i][3][1];
     Eigen::Map<Eigen::VectorXd>(v0, n) = Given(u0, n) + weighted.transpose().lazyProduct(y0);
@@ -187,6 +190,7 @@ static int two_velocities(Core *c, const double *jacobian, const Twists &w0, con
                           const double *u1, double *v0, double *v1, const double *own1) {
     static const double still[MOST_JOINTS] = {};
     for (int k = 0; k < c->arms; k++) {
+        if (group_of(c, k)) continue;
         const auto [j, n] = joints_of(c, k);
         const double *J = jacobian + 6 * j, *scale = c->scale + j;
         const double *wish0 = u0 ? u0 + j : still, *wish1 = u1 ? u1 + j : still;
@@ -196,6 +200,8 @@ static int two_velocities(Core *c, const double *jacobian, const Twists &w0, con
         if (!(least > 0.0)) return 0;
         c->least_pivot[k] = least;
     }
+    for (int i = 0; i < c->groups; i++)
+        if (!group_velocities(c, c->group[i], jacobian, w0, own1 ? own1 : w1.data(), own1, u0, u1, v0, v1)) return 0;
     return 1;
 }
 
@@ -248,12 +254,22 @@ static void posture_velocity(Core *c, const double *positions, double *v) {
     double excess = 1.0;
     Vector velocity(v, c->joints, 1), moved(c->posture_work, c->joints, 1);
     velocity.setZero();
+    const auto to_target = [&](int j) {
+        const double way = o->posture_gain * wrapped(c, j, c->posture_target[j] - positions[j]);
+        return c->posture_bounded[j] != 0.0 ? way + o->centring * (c->posture_middle[j] - positions[j]) : way;
+    };
+    for (int i = 0; i < c->groups; i++)
+        for (int m = 0; m < c->group[i].shared; m++) {
+            const int j = c->group[i].joint[m];
+            v[j] = to_target(j);
+            excess = fmax(excess, fabs(v[j]) / c->posture_cap[j]);
+        }
     for (int k = 0; k < c->arms; k++) {
         const auto [start, n] = joints_of(c, k);
-        for (int j = start; j < start + n && n > 6; j++) {
-            v[j] = o->posture_gain * wrapped(c, j, c->posture_target[j] - positions[j]);
-            if (c->posture_bounded[j] != 0.0) v[j] += o->centring * (c->posture_middle[j] - positions[j]);
-            if (o->manipulability > 0.0) {
+        const bool redundant = n > 6 || group_of(c, k);
+        for (int j = start; j < start + n && redundant; j++) {
+            v[j] = to_target(j);
+            if (o->manipulability > 0.0 && n > 6) {
                 double *jacobian = c->posture_work + c->joints;
                 moved = Given(positions, c->joints);
                 moved[j] += step;

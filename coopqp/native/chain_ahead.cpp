@@ -111,18 +111,20 @@ static Trial newton_step(Core *c, double clock, double before, const double *pos
         return REJECTED;
     if (c->redundant && !evade(c, positions, slope)) return CANNOT_SAY;
     for (int k = 0; c->redundant && !(c->options->elbows > 0.0) && k < c->arms; k++)
-        if (c->arm_size[k] > 6.0) lead_away(c, k, s.jacobian, positions, slope);
+        if (leads_group(c, k) && (c->arm_size[k] > 6.0 || group_of(c, k))) lead_away(c, k, s.jacobian, positions, slope);
     for (int j = 0; j < c->joints; j++) size += step[j] * step[j] + slope[j] * slope[j];
     return size < INFINITY ? FOUND : REJECTED;
 }
 
 /* Least eigenvalue of a symmetric, positive semidefinite matrix, and its eigenvector, by inverse iteration. */
-static double least_eigenvalue(Matrix6 G, Vector6 *found) {
+template <typename Symmetric, typename Column>
+static double least_eigenvalue(Symmetric G, Column *found) {
+    const int n = Symmetric::RowsAtCompileTime < 0 ? (int)G.rows() : Symmetric::RowsAtCompileTime;
     const double trace = G.trace();
-    double before = 1.0, size = 1.0, inverse[6];
-    Vector6 u;
+    double before = 1.0, size = 1.0, inverse[Symmetric::MaxRowsAtCompileTime];
+    Column u;
     int least = 0;
-    for (int i = 0; i < 6; i++) { /* G = L D Lᵀ, L below the diagonal */
+    for (int i = 0; i < n; i++) { /* G = L D Lᵀ, L below the diagonal */
         for (int j = 0; j < i; j++)
             for (int k = 0; k < j; k++) G(i, j) -= G(i, k) * G(j, k) * inverse[k];
         for (int j = 0; j < i; j++) G(i, i) -= G(i, j) * G(i, j) * inverse[j];
@@ -130,38 +132,69 @@ static double least_eigenvalue(Matrix6 G, Vector6 *found) {
         inverse[i] = 1.0 / G(i, i); /* G(i, j) is an entry of L D */
         if (G(i, i) < G(least, least)) least = i;
     }
-    u = Vector6::Unit(least);
+    u = Column::Unit(n, least);
     for (int iteration = 0; iteration < EIGEN_STEPS; iteration++) {
         before = size;
-        for (int i = 0; i < 6; i++) {
+        for (int i = 0; i < n; i++) {
             for (int k = 0; k < i; k++) u[i] -= G(i, k) * u[k];
             u[i] *= inverse[i];
         }
-        for (int i = 5; i >= 0; i--)
-            for (int k = i + 1; k < 6; k++) u[i] -= G(k, i) * inverse[i] * u[k];
+        for (int i = n - 1; i >= 0; i--)
+            for (int k = i + 1; k < n; k++) u[i] -= G(k, i) * inverse[i] * u[k];
         size = u.squaredNorm();
     }
     *found = u / sqrt(size);
     return sqrt(before / size);
 }
 
-/* Joint motion that takes arm k to where its reach ends, to first order: Chain.edges. */
-static void find_edge(const Core *c, int k, const Twists &jacobian, double *edge) {
-    const auto [start, n] = joints_of(c, k);
-    const OfArm J(jacobian + 6 * start, 6, n);
-    Vector6 u, before = Vector6::Zero();
+/* uᵀ J′ v of an arm, J′ = Σ_j v_j ∂_j J, for joint motion `along` (n,). */
+template <typename Columns>
+static double slope_along(const Columns &J, const Vector6 &u, const double *along_joints) {
+    Vector6 before = Vector6::Zero();
     double h = 0.0;
-    const double least = least_eigenvalue(J.lazyProduct(J.transpose()), &u);
-    for (int j = 0; j < n; j++) {
+    for (int j = 0; j < J.cols(); j++) {
         const Vector6 own = J.col(j);
-        const Vector3 v = own.head<3>(), a = own.tail<3>(), linear = before.head<3>(), angular = before.tail<3>();
-        const double along = own.dot(u);
-        edge[start + j] = along;
+        const Vector3 v = own.template head<3>(), a = own.template tail<3>(), linear = before.head<3>();
+        const Vector3 angular = before.tail<3>();
+        const double along = along_joints[j];
         h += along * ((angular.cross(v) + linear.cross(a)).dot(u.head<3>()) + angular.cross(a).dot(u.tail<3>()));
         before += along * own;
     }
-    const double way = -least / copysign(maximum(fabs(h), least * sqrt(least) / FAR_EDGE), h);
+    return h;
+}
+
+/* The end of a reach, as a multiple of the motion that moves the object least. */
+static double way_to_edge(double least, double h) {
+    return -least / copysign(maximum(fabs(h), least * sqrt(least) / FAR_EDGE), h);
+}
+
+/* Joint motion that takes arm k to where its reach ends, to first order: Chain.to_reach_end. */
+static void find_edge(const Core *c, int k, const Twists &jacobian, double *edge) {
+    const auto [start, n] = joints_of(c, k);
+    const OfArm J(jacobian + 6 * start, 6, n);
+    Vector6 u;
+    const double least = least_eigenvalue(Matrix6(J.lazyProduct(J.transpose())), &u);
+    for (int j = 0; j < n; j++) edge[start + j] = J.col(j).dot(u);
+    const double way = way_to_edge(least, slope_along(J, u, edge + start));
     for (int j = start; j < start + n; j++) edge[j] *= way;
+}
+
+/* The same of a group. */
+static void find_group_edge(const Core *c, const Group &g, const Twists &jacobian, double *edge) {
+    const GroupColumns J = stacked(c, g, jacobian);
+    GroupTwists u = GroupTwists::Zero(J.rows());
+    const double least = least_eigenvalue(gram_of(J), &u);
+    const GroupVector along = J.transpose().lazyProduct(u);
+    double h = 0.0;
+    for (int j = 0; j < g.joints; j++) edge[g.joint[j]] = along[j];
+    for (int i = 0; i < g.arms; i++) {
+        const int k = g.arm[i], n = joints_behind(c, k);
+        double own[MOST_JOINTS];
+        for (int j = 0; j < n; j++) own[j] = edge[joint_behind(c, k, j)];
+        h += slope_along(columns_of_arm(c, k, jacobian), u.segment<6>(6 * i), own);
+    }
+    const double way = way_to_edge(least, h);
+    for (int j = 0; j < g.joints; j++) edge[g.joint[j]] *= way;
 }
 
 /* The edges of knot i, from the Jacobians of the latest Newton step; those that are far need not be exact. */
@@ -169,21 +202,32 @@ static void find_edges(const Core *c, int i) {
     double *edges = edges_of(c, i);
     for (int k = 0; k < c->arms; k++) {
         const auto [start, n] = joints_of(c, k);
-        const bool far = c->least_pivot[k] > FAR_PIVOT && c->options->room <= FAR_ROOM;
-        if (far) Vector(edges + start, n, 1).setConstant(FAR_EDGE);
-        else find_edge(c, k, sketch_of(c).jacobian, edges);
+        const Group *g = group_of(c, k);
+        bool far = c->least_pivot[k] > FAR_PIVOT && c->options->room <= FAR_ROOM;
+        if (g) { /* its least eigenvalue is not less than any of its arms' */
+            if (!leads_group(c, k)) continue;
+            for (int m = 0; m < g->arms; m++) far &= c->least_pivot[g->arm[m]] > FAR_PIVOT;
+            for (int j = 0; far && j < g->joints; j++) edges[g->joint[j]] = FAR_EDGE;
+            if (!far) find_group_edge(c, *g, sketch_of(c).jacobian, edges);
+        } else if (far) {
+            Vector(edges + start, n, 1).setConstant(FAR_EDGE);
+        } else {
+            find_edge(c, k, sketch_of(c).jacobian, edges);
+        }
     }
 }
 
-/* The way of arm k to the end of its reach, as a multiple of what its joints need. */
+/* The way of arm k, or of its group, to the end of its reach, as a multiple of what its joints need. */
 static double room_of(const Core *c, int k, const double *edges) {
-    const auto [start, n] = joints_of(c, k);
     double room = 0.0;
-    for (int j = start; j < start + n; j++) room = maximum(room, fabs(edges[j]) / c->plan_room[j]);
+    for (int i = 0; i < joints_together(c, k); i++) {
+        const int j = joint_together(c, k, i);
+        room = maximum(room, fabs(edges[j]) / c->plan_room[j]);
+    }
     return room;
 }
 
-/* The arm that is at the end of its reach at knot i, or −1. */
+/* The arm that is at the end of its reach at knot i, or −1; of a group its first one. */
 static int stretched_arm(const Core *c, int i) {
     double least = 2.0;
     int arm = -1;
@@ -198,12 +242,16 @@ static int stretched_arm(const Core *c, int i) {
 static int ends_reach(const Core *c, int last, int made) {
     const double *then = edges_of(c, last), *now = edges_of(c, made), near = BRANCH_WAY * c->options->joint_step;
     for (int k = 0; k < c->arms; k++) {
-        const auto [start, n] = joints_of(c, k);
+        if (!leads_group(c, k)) continue;
         const double room = room_of(c, k, now);
-        double product = 0.0;
+        double product = 0.0, largest = 0.0;
         if (room < 1.0 && room < room_of(c, k, then)) return 1;
-        for (int j = start; j < start + n; j++) product += now[j] * then[j];
-        if (product < 0.0 && largest_size(now + start, n) < near && largest_size(then + start, n) < near) return 1;
+        for (int i = 0; i < joints_together(c, k); i++) {
+            const int j = joint_together(c, k, i);
+            product += now[j] * then[j];
+            largest = maximum(largest, maximum(fabs(now[j]), fabs(then[j])));
+        }
+        if (product < 0.0 && largest < near) return 1;
     }
     return 0;
 }

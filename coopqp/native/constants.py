@@ -17,6 +17,7 @@ MOST_TIGHTENINGS = 3  # answers with rows that the one before broke by the bend 
 # -- chain -------------------------------------------------------------------------------------------------------------
 LARGE_INVERSE = 1e4  # entries of an inverse beyond this need a look at the singular values
 SMALLEST_PIVOT = 1e-9  # smallest pivot over the largest entry
+WELL_INVERTED = 1e-3  # smallest pivot of an arm that shares joints, whose own inverse serves
 LONG_LEVER = 3.0  # an arm further from the object's origin is inverted about a point of its own [m]
 LONGEST_STEP = 0.5  # Newton's step is shortened to this [rad or m]
 
@@ -212,6 +213,9 @@ MOST_MINDING = 64  # arms
 # -- sizes of the memory -----------------------------------------------------------------------------------------------
 MOST_KNOTS = 1024  # that the look-ahead keeps
 MOST_JOINTS = 16  # of an arm
+MOST_SHARING = 4  # arms of one group, which share joints,
+MOST_SHARED = 6  # and these joints
+MOST_GROUP_JOINTS = 40  # of all arms of a group
 MOST_KINKS = 64  # clocks at which the twist of a user's path was found to jump, that are kept
 SEGMENT = 29  # numbers of a segment, see ObjectPath.packed
 GRASP_PIECE = 53  # numbers of a piece of a tool's motion on the object, see GraspMotion.packed

@@ -10,7 +10,7 @@
  *   paths.cpp        pose and twist of the object's path     chain.cpp        errors, corrections, joint velocities
  *   limits.cpp       admissible velocities, rates            program.cpp      the condensed QP and its answer
  *   ldp.cpp          least-distance programs                 watch.cpp        supervision, drift, forces
- *   apart.cpp        arms that their commands part
+ *   apart.cpp        arms that their commands part           groups.cpp       arms that share joints, as one arm
  *   braking.cpp      rows that brake all arms together where nothing is known ahead
  *   preview.cpp      the path ahead of the clock, with       step.cpp         observe, propose, commit
  *     horizon.cpp      knots, the largest rate at each         growth.cpp       more of them, one Newton step at a time
@@ -41,6 +41,13 @@
 /* Whether no row can bind; how many rows there are; whether the command has made them tighter; to look around. */
 enum Question { ASK_CLEAR, ASK_ROWS, ASK_TIGHTER, ASK_SURVEY };
 
+/* Arms that share joints: one redundant arm. The shared joints come before every arm's own, and move all of its tools. */
+struct Group {
+    int arms, shared, joints; /* joints: the shared ones and all arms' own */
+    int arm[MOST_SHARING];
+    int joint[MOST_GROUP_JOINTS]; /* the shared ones, then each arm's own */
+};
+
 struct Core {
     Core() = default;
     Core(const Core &) = delete; /* views are of its own memory */
@@ -51,6 +58,8 @@ struct Core {
 #undef MEMBER
     int arms = 0, joints = 0, nq = 0, unknowns = 0, rows = 0, past = 0; /* rows: further rows that fit; past: samples in `history` */
     int redundant = 0, looks_ahead = 0;
+    int groups = 0; /* of arms that share joints */
+    const Group *group = nullptr;
     int users_path = 0; /* the path is no one of the library: it may jump or bend where no breakpoint tells */
     int given_rows = 0, further_rows = 0; /* of this step: by constraints, and with those that brake all arms together */
     int knot_asked = 0, surveyed = 0; /* in this step: what bodies bound at a knot, a piece of what they ask for ahead */

@@ -10,7 +10,28 @@
 struct Joints {
     int start, n;
 };
+/* Its own ones, which follow each other. */
 static inline Joints joints_of(const Core *c, int k) { return {(int)c->arm_start[k], (int)c->arm_size[k]}; }
+/* The group of arm k; nullptr where it shares no joints. */
+static inline const Group *group_of(const Core *c, int k) {
+    return c->groups && c->arm_group[k] >= 0.0 ? c->group + (int)c->arm_group[k] : nullptr;
+}
+/* Of the joints that move the tool of arm k, from the base on: how many are shared, how many there are, and one of them. */
+static inline int shared_before(const Core *c, int k) { return group_of(c, k) ? group_of(c, k)->shared : 0; }
+static inline int joints_behind(const Core *c, int k) { return shared_before(c, k) + (int)c->arm_size[k]; }
+static inline int joint_behind(const Core *c, int k, int i) {
+    const int shared = shared_before(c, k);
+    return i < shared ? group_of(c, k)->joint[i] : (int)c->arm_start[k] + i - shared;
+}
+/* The joints of arm k, or of all of its group. */
+static inline int joints_together(const Core *c, int k) {
+    return group_of(c, k) ? group_of(c, k)->joints : (int)c->arm_size[k];
+}
+static inline int joint_together(const Core *c, int k, int i) {
+    return group_of(c, k) ? group_of(c, k)->joint[i] : (int)c->arm_start[k] + i;
+}
+/* Whether arm k stands for all of its group, or for itself. */
+static inline bool leads_group(const Core *c, int k) { return !group_of(c, k) || group_of(c, k)->arm[0] == k; }
 
 /* -- kinematics.cpp ------------------------------------------------------------------------------------ */
 
@@ -65,6 +86,14 @@ static Vector6 common_error(const Core *c, const Twists &errors);
  * smallest pivots are kept. */
 static int two_velocities(Core *c, const double *jacobian, const Twists &w0, const Vector6 &w1, const double *u0,
                           const double *u1, double *v0, double *v1, const double *own1 = nullptr);
+
+/* -- groups.cpp ---------------------------------------------------------------------------------------- */
+
+/* two_velocities of one group; w0 is nullptr for no twist, w1 one for all arms, or with `own` one per arm (6 arms). Velocities
+ * and wishes are of all joints of the cell, of which it reads and writes the group's. 0 if the group is singular; the smallest
+ * pivots are kept, 0 where an arm is singular and its group is not. */
+static int group_velocities(Core *c, const Group &g, const double *jacobian, const double *w0, const double *w1, bool own,
+                            const double *u0, const double *u1, double *v0, double *v1);
 
 /* -- watch.cpp ----------------------------------------------------------------------------------------- */
 

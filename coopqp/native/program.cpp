@@ -11,38 +11,45 @@ using TenTwists = Eigen::Matrix<double, 6, 10>;
 /* Rows of joints, then further ones; columns of unknowns. */
 using OfRows = Eigen::Map<Eigen::Matrix<double, Eigen::Dynamic, Eigen::Dynamic, Eigen::RowMajor>>;
 
+/* Of all joints of a group; z is the first of its null-space unknowns. False where it is near a singularity. */
+static bool group_columns(Core *c, const Group &g, int z, TenTwists T, double cap);
+
 static OfRows columns_of(const Core *c) { return {c->columns, c->joints + c->further_rows, c->unknowns}; }
 
-/* Of one arm with n ≥ 6 joints: the right inverse P (n, 6) of least Σ (v/scale)², and a basis N (n, n − 6) of the self-
- * motions, orthonormal in the joints' units. By Householder's QR of diag(scale) Jᵀ. Returns false if near a singularity. */
-static bool right_inverse(const OfArm &J, const double *scale, ArmRows6 &P, ArmSquare &N) {
+/* Of one arm with n ≥ 6 joints, or of a group: the right inverse P (n, m) of J (m, n) of least Σ (v/scale)², and a basis
+ * N (n, n − m) of the self-motions, orthonormal in the joints' units W. By Householder's QR of diag(W) Jᵀ. Returns false if
+ * near a singularity. */
+template <typename Columns, typename Units, typename TallRows, typename Whole>
+static bool right_inverse(const Columns &J, const Units &W, TallRows &P, Whole &N) {
+    constexpr int FIXED = TallRows::ColsAtCompileTime;
     const Eigen::Index n = J.cols();
-    const Given W(scale, n);
-    ArmRows6 M = W.asDiagonal() * J.transpose();
-    ArmSquare Q = ArmSquare::Identity(n, n);
-    Vector6 diagonal, per;
-    for (int i = 0; i < 6; i++) {
+    const int rows = FIXED < 0 ? (int)J.rows() : FIXED;
+    TallRows M = W.asDiagonal() * J.transpose();
+    Whole Q = Whole::Identity(n, n);
+    Eigen::Matrix<double, FIXED, 1, 0, TallRows::MaxColsAtCompileTime, 1> diagonal(rows), per(rows);
+    for (int i = 0; i < rows; i++) {
         auto reflector = M.col(i).tail(n - i); /* of squared length 2 |d M_ii| */
         const double length = reflector.norm();
         if (!(length > 0.0 && isfinite(length))) return false;
         diagonal[i] = M(i, i) > 0.0 ? -length : length;
         M(i, i) -= diagonal[i];
         per[i] = -1.0 / (diagonal[i] * M(i, i));
-        for (int m = i + 1; m < 6; m++) {
+        for (int m = i + 1; m < rows; m++) {
             auto column = M.col(m).tail(n - i);
             column -= reflector.dot(column) * per[i] * reflector;
         }
-        const ArmVector along = Q.rightCols(n - i).lazyProduct(reflector);
+        const Eigen::Matrix<double, Eigen::Dynamic, 1, 0, Whole::MaxRowsAtCompileTime, 1> along =
+            Q.rightCols(n - i).lazyProduct(reflector);
         for (Eigen::Index m = i; m < n; m++) Q.col(m) -= per[i] * M(m, i) * along;
     }
-    P.resize(n, 6);
-    for (int i = 5; i >= 0; i--) { /* P = diag(scale) Q₁ R⁻ᵀ */
+    P.resize(n, rows);
+    for (int i = rows - 1; i >= 0; i--) { /* P = diag(W) Q₁ R⁻ᵀ */
         P.col(i) = Q.col(i);
-        for (int m = i + 1; m < 6; m++) P.col(i) -= M(i, m) * P.col(m);
+        for (int m = i + 1; m < rows; m++) P.col(i) -= M(i, m) * P.col(m);
         P.col(i) /= diagonal[i];
     }
     P = W.asDiagonal() * P;
-    N = W.asDiagonal() * Q.rightCols(n - 6);
+    N = W.asDiagonal() * Q.rightCols(n - rows);
     return P.allFinite() && P.cwiseAbs().maxCoeff() < LARGE_INVERSE;
 }
 
@@ -82,11 +89,17 @@ static bool condense(Core *c, double cap) {
     T.col(8) = turned(R, c->path);
     base.head(joints).setZero(), columns.topRows(joints).setZero(); /* joints that no arm moves stand still */
     for (int k = 0; k < c->arms; k++) {
+        if (const Group *g = group_of(c, k)) {
+            if (!leads_group(c, k)) continue;
+            if (!group_columns(c, *g, z, T, cap)) return false;
+            z += g->joints - 6 * g->arms;
+            continue;
+        }
         const auto [start, n] = joints_of(c, k);
         if (grasps_move(c)) T.col(6) = turned(R, c->own_along.col(k));
         T.col(7) = turned(R, c->grasp.col(k));
         T.col(9) = turned(R, c->offsets.col(k));
-        if (!right_inverse(OfArm(c->jacobian + 6 * start, 6, n), c->scale + start, P, N)) return false;
+        if (!right_inverse(OfArm(c->jacobian + 6 * start, 6, n), Given(c->scale + start, n), P, N)) return false;
         arm_columns(c, k, z, P, N, T, cap);
         z += n - 6;
     }

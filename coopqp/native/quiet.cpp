@@ -2,19 +2,23 @@
 
 #include "functions.h"
 
-/* Σ reach (|x − centre| + h |v|) over the joints of the two arms where it is largest; without v for nullptr. */
+/* Σ reach (|x − centre| + h |v|) over the joints of the two arms where it is largest, and over all shared joints; without v for
+ * nullptr. */
 static double way_from(const Core *c, const double *x, const double *centre, const double *reach, const double *v, double h) {
-    double first = 0.0, second = 0.0;
+    double first = 0.0, second = 0.0, shared = 0.0;
+    const auto way_of = [&](int j) { return reach[j] * (fabs(x[j] - centre[j]) + (v ? h * fabs(v[j]) : 0.0)); };
     for (int k = 0; k < c->arms; k++) {
         const int start = (int)c->arm_start[k], end = start + (int)c->arm_size[k];
         double way = 0.0;
-        for (int j = start; j < end; j++) way += reach[j] * (fabs(x[j] - centre[j]) + (v ? h * fabs(v[j]) : 0.0));
+        for (int j = start; j < end; j++) way += way_of(j);
         if (way > first)
             second = first, first = way;
         else
             second = maximum(second, way);
     }
-    return first + second;
+    for (int i = 0; i < c->groups; i++)
+        for (int j = 0; j < c->group[i].shared; j++) shared += way_of(c->group[i].joint[j]);
+    return first + second + shared;
 }
 
 /* No further row binds the command, without asking for them. */

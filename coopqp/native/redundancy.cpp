@@ -2,8 +2,16 @@
 
 #include "ahead.h"
 
-/* Self-motion of arm k that moves its joint `j`, (n,); 0 if the arm is singular. */
-static int self_motion(const Core *c, int k, const double *jacobian, int j, double *way) {
+/* Self-motion of arm k, or of its group, that moves joint `j` of these, (n,); 0 if it is singular. */
+static int self_motion(Core *c, int k, const double *jacobian, int j, double *way) {
+    if (const Group *g = group_of(c, k)) {
+        const int nv = c->joints;
+        Vector push(c->scratch, nv, 1), moved(push + nv, nv, 1), other(push + 2 * nv, nv, 1);
+        push.setZero(), push[g->joint[j]] = 1.0;
+        if (!group_velocities(c, *g, jacobian, nullptr, nullptr, false, push, nullptr, moved, other)) return 0;
+        for (int i = 0; i < g->joints; i++) way[i] = moved[g->joint[i]];
+        return 1;
+    }
     static const double still[MOST_JOINTS] = {};
     const auto [start, n] = joints_of(c, k);
     const Vector6 none = Vector6::Zero();
@@ -14,17 +22,19 @@ static int self_motion(const Core *c, int k, const double *jacobian, int j, doub
            far_velocities(J, scale, n, none, none, push, still, way, other) > 0.0;
 }
 
-/* Lead the joints of redundant arm k away from their limits by its self-motion: coopqp/control/lookahead/redundancy.py. */
-static void lead_away(const Core *c, int k, const double *jacobian, const double *positions, double *slope) {
-    const int start = (int)c->arm_start[k], n = (int)c->arm_size[k];
-    double up[MOST_JOINTS], down[MOST_JOINTS], beyond[MOST_JOINTS], way[MOST_JOINTS], largest = 0.0;
-    for (int j = 0; j < n; j++) largest = maximum(largest, fabs(slope[start + j]) / c->scale[start + j]);
+/* Lead the joints of redundant arm k, or of its group, away from their limits by its self-motion:
+ * coopqp/control/lookahead/redundancy.py. */
+static void lead_away(Core *c, int k, const double *jacobian, const double *positions, double *slope) {
+    const int n = joints_together(c, k);
+    double up[MOST_GROUP_JOINTS], down[MOST_GROUP_JOINTS], beyond[MOST_GROUP_JOINTS], way[MOST_GROUP_JOINTS], largest = 0.0;
+    const auto at = [&](int i) { return joint_together(c, k, i); };
+    for (int j = 0; j < n; j++) largest = maximum(largest, fabs(slope[at(j)]) / c->scale[at(j)]);
     largest /= TURNING_WAY;
     if (!(largest > 0.0)) return;
     for (int j = 0; j < n; j++) {
-        const double x = positions[start + j], scale = c->scale[start + j], own = slope[start + j];
-        up[j] = largest * scale * (c->high[start + j] - LIMIT_MARGIN - x);
-        down[j] = largest * scale * (c->low[start + j] + LIMIT_MARGIN - x);
+        const double x = positions[at(j)], scale = c->scale[at(j)], own = slope[at(j)];
+        up[j] = largest * scale * (c->high[at(j)] - LIMIT_MARGIN - x);
+        down[j] = largest * scale * (c->low[at(j)] + LIMIT_MARGIN - x);
         beyond[j] = maximum(own - up[j], down[j] - own) / scale;
     }
     int worst = 0, found = 0;
@@ -40,9 +50,9 @@ static void lead_away(const Core *c, int k, const double *jacobian, const double
     double low = -INFINITY, high = INFINITY;
     for (int j = 0; j < n; j++) {
         if (!(fabs(way[j]) > LEADS * way[worst])) continue;
-        const double own = slope[start + j], a = (down[j] - own) / way[j], b = (up[j] - own) / way[j];
+        const double own = slope[at(j)], a = (down[j] - own) / way[j], b = (up[j] - own) / way[j];
         low = maximum(low, minimum(a, b)), high = minimum(high, maximum(a, b));
     }
     const double z = low > high ? 0.5 * (low + high) : minimum(maximum(0.0, low), high);
-    for (int j = 0; j < n; j++) slope[start + j] += z * way[j];
+    for (int j = 0; j < n; j++) slope[at(j)] += z * way[j];
 }

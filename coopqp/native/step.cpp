@@ -271,7 +271,9 @@ static int twists_made(Core *c, const Vector &v, double h) {
 /* b_k = A_k v less the twists made, of arm k, in the reference object frame. */
 static Vector6 defect(const Core *c, int k, const Vector &v) {
     const auto [start, n] = joints_of(c, k);
-    return turned_back(c->pose->R, c->jacobian.middleCols(start, n).lazyProduct(v.segment(start, n)) - c->made.col(k));
+    Vector6 missed = c->jacobian.middleCols(start, n).lazyProduct(v.segment(start, n)) - c->made.col(k);
+    for (int i = 0; i < shared_before(c, k); i++) missed += v[joint_behind(c, k, i)] * c->jacobian.col(joint_behind(c, k, i));
+    return turned_back(c->pose->R, missed);
 }
 
 /* By how much the step that the command makes misses the twists that it was to make [m, rad]. */

@@ -28,6 +28,7 @@ struct Field {
 struct BoundCore : Core {
     const Arithmetic *can = nullptr;
     std::vector<Field> fields;   /* in `memory` */
+    std::vector<Group> all_groups;
     Field state_block = {};      /* all that is the state */
     double *memory = nullptr;
     nb::capsule owner;           /* of the memory: no array holds the core, which would be a cycle that nobody sees */
@@ -102,14 +103,45 @@ static nb::dict fields_of(const BoundCore &self) {
     return found;
 }
 
+/* Take the groups of arms that share joints: the group of each arm, and that of each joint that is shared, −1 for none; false if
+ * they are too large. */
+static bool take_groups(BoundCore *c, const In &of_arm, const In &of_joint) {
+    double last = -1.0;
+    for (int k = 0; k < c->arms; k++) c->arm_group[k] = of_arm.data[k], last = of_arm.data[k] > last ? of_arm.data[k] : last;
+    if (!(last < c->arms)) return false;
+    for (int i = 0; i <= (int)last; i++) {
+        Group g = {};
+        for (int j = 0; j < c->joints; j++)
+            if (of_joint.data[j] == i) {
+                if (g.shared == MOST_SHARED) return false;
+                g.joint[g.shared++] = j;
+            }
+        g.joints = g.shared;
+        for (int k = 0; k < c->arms; k++) {
+            if (of_arm.data[k] != i) continue;
+            const int n = (int)c->arm_size[k];
+            if (g.arms == MOST_SHARING || g.joints + n > MOST_GROUP_JOINTS || g.shared + n > MOST_JOINTS) return false;
+            g.arm[g.arms++] = k;
+            for (int j = 0; j < n; j++) g.joint[g.joints++] = (int)c->arm_start[k] + j;
+        }
+        if (!g.shared || g.arms < 2) return false;
+        c->all_groups.push_back(g);
+    }
+    c->groups = (int)c->all_groups.size(), c->group = c->all_groups.data();
+    return true;
+}
+
 /* Take how the joints are shared out; false if an arm's do not lie inside the vectors, or make other unknowns. */
-static bool take_joints(Core *c, const In &start, const In &size, const In &q_index, const In &continuous) {
+static bool take_joints(BoundCore *c, const In &start, const In &size, const In &of_arm, const In &of_joint, const In &q_index,
+                        const In &continuous) {
     int unknowns = TWIST_AND_SHARES;
     for (int k = 0; k < c->arms; k++) {
         const double first = c->arm_start[k] = start.data[k], count = c->arm_size[k] = size.data[k];
         if (!(first >= 0 && count >= 6 && count <= MOST_JOINTS && first + count <= c->joints)) return false;
         unknowns += (int)count - 6;
     }
+    if (!take_groups(c, of_arm, of_joint)) return false;
+    for (const Group &g : c->all_groups) unknowns += g.shared;
     for (int j = 0; j < c->joints; j++) {
         const double at = c->q_index[j] = q_index.data[j], width = (c->continuous[j] = continuous.data[j]) != 0.0 ? 2 : 1;
         if (!(at >= 0 && at + width <= c->nq)) return false;
@@ -118,19 +150,21 @@ static bool take_joints(Core *c, const In &start, const In &size, const In &q_in
     return unknowns == c->unknowns;
 }
 
-static void build(BoundCore *self, const In &arm_start, const In &arm_size, const In &q_index, const In &continuous, int nq,
-                  int unknowns, int past, int given_rows, bool plain_arithmetic) {
+static void build(BoundCore *self, const In &arm_start, const In &arm_size, const In &arm_group, const In &joint_group,
+                  const In &q_index, const In &continuous, int nq, int unknowns, int past, int given_rows,
+                  bool plain_arithmetic) {
     static const double nowhere[3] = {1.0, 0.0, 0.0};
     const Py_ssize_t arms = arm_start.size, joints = q_index.size, most = 10000;
     const char *unfit = "the sizes do not fit together";
-    check_fit(arms >= 1 && arm_size.size == arms && joints >= 6 && joints <= most && continuous.size == joints &&
+    check_fit(arms >= 1 && arm_size.size == arms && arm_group.size == arms && joints >= 6 && joints <= most &&
+                  joint_group.size == joints && continuous.size == joints &&
                   nq >= joints && nq <= 2 * joints && unknowns >= TWIST_AND_SHARES && unknowns <= TWIST_AND_SHARES + joints &&
                   past >= 1 && past <= 100 * most && given_rows >= 0 && given_rows <= most, unfit);
     new (self) BoundCore();
     self->arms = (int)arms, self->joints = (int)joints, self->nq = nq, self->unknowns = unknowns, self->past = past;
     self->rows = given_rows + 1 + self->arms + self->joints; /* those that brake all arms together come last */
     lay_out(self);
-    if (!take_joints(self, arm_start, arm_size, q_index, continuous)) {
+    if (!take_joints(self, arm_start, arm_size, arm_group, joint_group, q_index, continuous)) {
         self->~BoundCore();
         throw nb::value_error(unfit);
     }

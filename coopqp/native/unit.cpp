@@ -19,6 +19,7 @@ namespace BUILD {
 #include "limits.cpp"
 #include "ldp.cpp"
 #include "program.cpp"
+#include "groups.cpp"
 #include "watch.cpp"
 #include "residual.cpp"
 #include "lagging.cpp"

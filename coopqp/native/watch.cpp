@@ -58,6 +58,10 @@ static int repeats(const Core *c, int k, const double *q) {
     const int end = (int)c->q_index[last] + (c->continuous[last] != 0.0 ? 2 : 1);
     for (int i = begin; i < end; i++)
         if (q[i] != c->seen[i]) return 0;
+    for (int i = 0; i < shared_before(c, k); i++) {
+        const int j = joint_behind(c, k, i), at = (int)c->q_index[j];
+        if (q[at] != c->seen[at] || (c->continuous[j] != 0.0 && q[at + 1] != c->seen[at + 1])) return 0;
+    }
     return 1;
 }
 
@@ -249,13 +253,12 @@ static void remember(Core *c, const double *positions) {
 /* The least of the largest motions that the joints of arm k were commanded to make in as many samples, now or up to LAG ago: one
  * of them is what a late arm should have made. */
 static double least_told(const Core *c, int k, double told) {
-    const auto [start, n] = joints_of(c, k);
-    const int samples = (int)c->options->stall_samples;
+    const int samples = (int)c->options->stall_samples, n = joints_behind(c, k);
     const int late = (int)c->watch->past_count - 1 - samples;
     for (int i = 1; i <= late; i++) {
         const double *from = sample_before(c, samples + i) + c->joints, *to = sample_before(c, i) + c->joints;
         double most = 0.0;
-        for (int j = start; j < start + n; j++) most = fmax(most, fabs(to[j] - from[j]));
+        for (int m = 0; m < n; m++) most = fmax(most, fabs(to[joint_behind(c, k, m)] - from[joint_behind(c, k, m)]));
         told = fmin(told, most);
     }
     return told;
@@ -264,9 +267,9 @@ static double least_told(const Core *c, int k, double told) {
 /* Largest motions of the joints of arm k since an older sample, as commanded and measured, and what lies between. */
 static void moves_of(const Core *c, int k, const double *positions, const double *before, double *told, double *moved,
                      double *gap) {
-    const auto [start, n] = joints_of(c, k);
     double most[3] = {};
-    for (int j = start; j < start + n; j++) {
+    for (int m = 0; m < joints_behind(c, k); m++) {
+        const int j = joint_behind(c, k, m);
         double commanded = c->positions[j];
         double size[3] = {fabs(commanded - before[c->joints + j]), fabs(positions[j] - before[j]),
                           fabs(commanded - positions[j])};

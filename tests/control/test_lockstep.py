@@ -6,6 +6,7 @@ import copy
 import dataclasses
 import functools
 from collections.abc import Callable, Iterator, Sequence
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -15,6 +16,7 @@ from cells import grasp_at, on_another_joint
 from hypothesis import settings
 from marks import slow_but_first, slow_unless
 from runs import limited_once
+from torsos import robot_of
 from user_paths import Marked
 
 from coopqp import (
@@ -31,7 +33,9 @@ from coopqp import (
     Status,
     SupervisionOptions,
     WaypointPath,
+    check_path,
 )
+from coopqp.collision import Body, Box, Clearance, CollisionScene
 from coopqp.model import CellState
 from coopqp.native import available_kernels
 from coopqp.scenarios import (
@@ -340,7 +344,6 @@ def test_the_core_takes_every_cell_whose_arms_have_six_joints_or_more(name: str)
     task = ready(name)
     few = min(arm.model.nv for arm in task.cell.arms) < 6
     assert few == (name in FEW_JOINTS)
-    few |= name in SHARED_JOINTS  # these are stepped by the definition, too
     controller = QPController(task.cell, task.grasp, task.path, dt=task.dt)
     assert controller.kernel == ("plain" if few else "compiled")
 
@@ -356,8 +359,10 @@ def every_run() -> Iterator[Any]:
 
     Sanitized: those in three cells that it has not in short.
     """
-    for i, name in enumerate(sorted(set(SCENARIOS) - {*LOADED, *PROGRAMS, *FEW_JOINTS, *SHARED_JOINTS})):
+    for i, name in enumerate(sorted(set(SCENARIOS) - {*LOADED, *PROGRAMS, *FEW_JOINTS})):
         for k, mode in enumerate(MODES):
+            if name in SHARED_JOINTS and "forces" in mode:
+                continue  # these refuse shared joints
             if name in IN_FULL or (i + k) % 3 == 0 or NIGHTLY:
                 sanitized = name in ("paper_lift", "mixed_cell", "at_limit") and mode not in IN_SHORT
                 yield pytest.param(name, mode, marks=[pytest.mark.core] if sanitized else [])
@@ -500,6 +505,85 @@ def test_both_agree_on_eight_joints(random_q: Callable[..., Array]) -> None:
     assert cell.nv == 16
     for mode in ("nominal", "measured late, with noise", "always a QP", "middle of the joints"):
         run_in(mode, held(cell, random_q(cell, np.random.default_rng(6))), 80)
+
+
+#: Joints that two arms of six joints share: kind and axis of each.
+TORSOS = {
+    "lift": (("prismatic", "0 0 1"),),
+    "waist": (("revolute", "0 0 1"),),
+    "lift and turntable": (("prismatic", "0 0 1"), ("continuous", "0 0 1")),
+    "three of a waist": (("revolute", "1 0 0"), ("continuous", "0 1 0"), ("revolute", "0 0 1")),
+}
+#: How they are stepped, and with which accelerations.
+ON_TORSOS = (
+    ("nominal", np.inf), ("nominal", 5.0), ("always a QP", 5.0), ("measured late, with noise", np.inf),
+    ("an arm stalls for a while", 5.0), ("samples lost", np.inf), ("no preview", 5.0), ("middle of the joints", np.inf),
+)  # fmt: skip
+
+
+def on_a_torso(torso: str, folder: Path, acceleration: float = np.inf, *, beside: bool = False) -> Scenario:
+    """Two arms that share joints hold an object where they happen to be; with a third arm of its own, or without."""
+    rng, robot = np.random.default_rng(len(torso)), robot_of(TORSOS[torso], folder)
+    cell = RobotCell([on_another_joint("0", pin.JointModelRZ(), pin.SE3.Identity()), robot] if beside else [robot])
+    cell = cell.with_limits(acceleration=acceleration)
+    return held(cell, cell.configuration(rng.uniform(-0.6, 0.6, cell.nv) + 0.3))
+
+
+@pytest.mark.core
+@pytest.mark.parametrize("how", slow_but_first(ON_TORSOS))
+@pytest.mark.parametrize("torso", TORSOS)
+def test_both_agree_on_joints_that_arms_share(torso: str, how: tuple[str, float], tmp_path: Path) -> None:
+    mode, acceleration = how
+    run_in(mode, on_a_torso(torso, tmp_path, acceleration), 100, same=DISTURBED if np.isfinite(acceleration) else SAME)
+
+
+@pytest.mark.core
+@pytest.mark.parametrize("mode", slow_but_first(["nominal", "always a QP", "one arm lags", "no preview"]))
+def test_both_agree_on_a_group_beside_an_arm(mode: str, tmp_path: Path) -> None:
+    task = on_a_torso("lift", tmp_path, beside=True)
+    assert task.cell.groups == ((1, 2),)
+    run_in(mode, task, 80)
+
+
+@pytest.mark.core
+def test_both_agree_where_an_arm_is_singular_and_its_group_is_not(tmp_path: Path) -> None:
+    """The torso's three joints do what the left arm cannot; the object does not wait for it."""
+    task = on_a_torso("three of a waist", tmp_path)
+    q = task.cell.positions(task.q_start)
+    q[task.cell.joint_names.index("left/left_4")] = 0.0  # the axes before and after it are one line
+    run = pair(held(task.cell, task.cell.configuration(q)), dt=0.01)
+    run.same = DISTURBED  # joints turn fast there
+    assert run.run(120).lowest == 1.0
+
+
+@pytest.mark.slow
+@pytest.mark.core
+def test_both_agree_where_a_group_evades_a_body() -> None:
+    """A lid above two arms on a rail; each arm's self-motion keeps its elbow off it, and the rail stays out of that."""
+    task = ready("two_on_a_rail")
+    cell = task.cell.with_limits(acceleration=5.0)
+    place = task.path.pose(0.0).translation + np.array([0.0, 0.0, 0.25])
+    lid = Body("lid", Box((0.6, 0.6, 0.02)), pin.SE3(np.eye(3), place))
+    scene = dataclasses.replace(CollisionScene.of(task, margin=0.02, obstacles=[lid]), cell=cell)
+    made = []
+    for kernel in ("compiled", "plain"):
+        options, clearance = QPOptions(kernel=kernel), Clearance(scene)
+        made.append(QPController(cell, task.grasp, task.path, dt=0.01, options=options, constraints=[clearance]))
+        made[-1].reset(task.q_start)
+    assert made[0].kernel == "compiled"
+    Pair(*made, same=DISTURBED).run(620)
+
+
+@pytest.mark.core
+def test_both_are_led_as_the_check_proves_it() -> None:
+    """The lift's place along the path is that of the plan, with acceleration limits and without."""
+    task = ready("torso_lift")
+    path = check_path(task.cell, task.grasp, task.path).led_path()
+    for acceleration in (5.0, np.inf):
+        cell = task.cell.with_limits(acceleration=acceleration)
+        run = pair(dataclasses.replace(task, cell=cell), path=lambda: path, dt=0.02)
+        run.same = DISTURBED
+        assert run.run(600).plain.step().finished
 
 
 @pytest.mark.slow

@@ -303,7 +303,7 @@ def test_a_singular_arm_is_left_to_the_definition(angles: dict[int, float], arit
 
 #: What the core counts with: whole numbers, which only its own code writes.
 COUNTS = {
-    "arm_start", "arm_size", "q_index", "continuous", "prismatic", "bounds", "history", "ahead", "lost",
+    "arm_start", "arm_size", "arm_group", "q_index", "continuous", "prismatic", "bounds", "history", "ahead", "lost",
     "options/newton_steps", "options/stall_samples", "options/own_solver",
     "loop/fault", "loop/fault_arm", "watch/watch_arm", "watch/past_count", "watch/past_head", "watch/behind",
     "knots/limit",
@@ -382,8 +382,11 @@ Built = tuple[Any, ...]
 
 def built(loop: Any) -> Built:
     """Arguments of a Core like the loop's own."""
-    arrays = (loop.at[name].copy() for name in ("arm_start", "arm_size", "q_index", "continuous"))
-    return (*arrays, loop.cell.nq, loop.at["unit"].size, 5, 64, False)
+    start, size, group, q_index, continuous = (
+        loop.at[name].copy() for name in ("arm_start", "arm_size", "arm_group", "q_index", "continuous")
+    )
+    joint_group = np.full(q_index.size, -1.0)  # of the cells here no arms share joints
+    return (start, size, group, joint_group, q_index, continuous, loop.cell.nq, loop.at["unit"].size, 5, 64, False)
 
 
 def core_with(arguments: Built, loop: Any) -> Any:
@@ -419,7 +422,7 @@ def with_entry(things: tuple[Any, ...], i: int, thing: Any) -> tuple[Any, ...]:
 
 def test_sizes_that_do_not_fit_are_refused(paper: Scenario) -> None:
     arguments = built(loop_of(paper))
-    for i, array in enumerate(arguments[:4]):
+    for i, array in enumerate(arguments[:6]):
         for bad in (array[:-1].copy(), np.zeros(array.size + 1), np.zeros(0)):
             with pytest.raises(ValueError, match="fit"):
                 native.Core(*with_entry(arguments, i, bad))
@@ -429,10 +432,10 @@ def test_sizes_that_do_not_fit_are_refused(paper: Scenario) -> None:
         ):  # fmt: skip
             with pytest.raises((ValueError, TypeError, BufferError)):
                 native.Core(*with_entry(arguments, i, bad))
-    for i, bad in ((4, 17), (4, 37), (4, -1), (5, 8), (5, 10), (5, -9), (6, 0), (6, 10**9), (7, -1), (7, 10**9)):
+    for i, bad in ((6, 17), (6, 37), (6, -1), (7, 8), (7, 10), (7, -9), (8, 0), (8, 10**9), (9, -1), (9, 10**9)):
         with pytest.raises(ValueError, match="fit"):
             native.Core(*with_entry(arguments, i, bad))
-    for i in range(4, 8):
+    for i in range(6, 10):
         for bad in (None, (), 2.5, 2**40):
             with pytest.raises((TypeError, OverflowError)):
                 native.Core(*with_entry(arguments, i, bad))
@@ -444,7 +447,7 @@ def test_sizes_that_do_not_fit_are_refused(paper: Scenario) -> None:
 def test_fields_are_zero_at_first_and_do_not_overlap(paper: Scenario) -> None:
     fields = native.Core(*built(loop_of(paper))).fields()
     state = fields.pop("state")
-    given = ("arm_start", "arm_size", "q_index", "continuous")
+    given = ("arm_start", "arm_size", "arm_group", "q_index", "continuous")
     assert not any(array.any() for name, array in fields.items() if name not in given)
     assert [*fields] == [name for block in layout.BLOCKS.values() for name, _ in block]
     for i, array in enumerate(fields.values()):
@@ -457,11 +460,12 @@ def test_fields_are_zero_at_first_and_do_not_overlap(paper: Scenario) -> None:
 @pytest.mark.parametrize(
     ("field", "value"),
     [("arm_start", -1.0), ("arm_start", 13.0), ("arm_start", np.nan), ("arm_size", 5.0), ("arm_size", 1e9),
-     ("arm_size", np.nan), ("arm_size", 17.0), ("q_index", -1.0), ("q_index", 18.0), ("q_index", np.nan)],
+     ("arm_size", np.nan), ("arm_size", 17.0), ("arm_group", 0.0), ("arm_group", 1.0), ("arm_group", 1e9),
+     ("q_index", -1.0), ("q_index", 18.0), ("q_index", np.nan)],
 )  # fmt: skip
 def test_arms_that_do_not_lie_in_the_vectors_are_refused(field: str, value: float, paper: Scenario) -> None:
     arguments = built(loop_of(paper))
-    which = ("arm_start", "arm_size", "q_index").index(field)
+    which = ("arm_start", "arm_size", "arm_group", "joint_group", "q_index").index(field)
     for i in (0, -1):
         bad = arguments[which].copy()
         bad[i] = value

@@ -110,7 +110,7 @@ class CompiledLoop:
         self._evades: Callable[[], bool] | None = self._evade if constraints.evades else None
         if constraints:
             self._core.bind(bound_knot=self._bound_knot)
-        if self._certified is not None:
+        if self._certified is not None and not cell.groups:  # distances in the core's memory know each arm by itself
             self._proposal.dt = dt  # of the first step, for what it prepares
             rows = self._certified.in_memory(self._memory.of_rows())
             ahead = None if rows is None else self._certified.in_memory(self._memory.of_rows(), ahead=True)

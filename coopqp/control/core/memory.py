@@ -19,7 +19,14 @@ from coopqp.model.cell import RobotCell, of_cell
 from coopqp.model.chain import Chain, moving_columns
 from coopqp.model.links import joint_links
 from coopqp.native import layout
-from coopqp.native.constants import LARGEST_MOVE, MOST_JOINTS, MOST_KNOTS
+from coopqp.native.constants import (
+    LARGEST_MOVE,
+    MOST_GROUP_JOINTS,
+    MOST_JOINTS,
+    MOST_KNOTS,
+    MOST_SHARED,
+    MOST_SHARING,
+)
 from coopqp.spatial import Array
 
 
@@ -40,7 +47,8 @@ class Memory:
 
     def __init__(self, chain: Chain, *, unknowns: int, past: int, arithmetic: str = "auto") -> None:
         cell, plain = chain.cell, arithmetic == "plain"
-        joints = (np.array(x, dtype=float) for x in (*_arms(chain), cell.position_index, cell.continuous))
+        shared = _groups(chain)
+        joints = (np.array(x, dtype=float) for x in (*_arms(chain), *shared, cell.position_index, cell.continuous))
         self.core: Any = native.Core(*joints, cell.nq, unknowns, past, MOST_ROWS, plain)
         self.at: dict[str, Array] = self.core.fields()
         self.options, self.loop, self.proposal = (
@@ -73,16 +81,17 @@ def build_memory(
     """The core of a loop and its memory, the constants filled in.
 
     Raises:
-        NotForTheCore: a joint type, or an order of joints, that the core does not know, or joints that arms share.
+        NotForTheCore: a joint type, or an order of joints, that the core does not know.
+        InvalidInputError: forces are to be watched, and arms share joints.
     """
-    if chain.cell.groups:
-        raise NotForTheCore("arms share joints")
     cell, past = chain.cell, kept_samples(options.supervision, dt)
     memory = Memory(chain, unknowns=unit.size, past=past, arithmetic=arithmetic)
     at, limits = memory.at, cell.limits
     _put_links(chain, at)
     at["near_cos"][:] = 1.0  # of position 0
     stiffness, posture = options.supervision.stiffness, options.posture
+    if stiffness is not None:
+        cell.refuse_shared("StressModel")
     at_grasps = grasp_lengths(chain.grasp)
     bounded = np.isfinite(limits.lower) & np.isfinite(limits.upper)
     fields = {
@@ -129,14 +138,30 @@ def put_options(memory: Memory, chain: Chain, box: VelocityBox, o: QPOptions, dt
 
 
 def _arms(chain: Chain) -> tuple[list[int], list[int]]:
-    columns = chain.moving_columns
-    if any(len(c) < 6 for c in columns):
-        raise NotForTheCore("an arm has fewer than six joints")
-    if any(len(c) > MOST_JOINTS for c in columns):
+    """First column and number of each arm's own joints."""
+    if any(len(c) > MOST_JOINTS for c in chain.moving_columns):
         raise NotForTheCore(f"an arm has more than {MOST_JOINTS} joints")
+    columns = [np.setdiff1d(c, chain.cell.shared) for c in chain.moving_columns]
+    if any(len(c) < 6 for c in columns):
+        raise NotForTheCore("an arm has fewer than six joints of its own")
     if any((np.diff(c) != 1).any() for c in columns):
         raise NotForTheCore("the joints of an arm do not follow each other")
     return [int(c[0]) for c in columns], [len(c) for c in columns]
+
+
+def _groups(chain: Chain) -> tuple[Array, Array]:
+    """The group of each arm (N,), and that of each joint that its arms share (nv,); −1 for none."""
+    cell = chain.cell
+    of_arm, of_joint = np.full(len(cell), -1.0), np.full(cell.nv, -1.0)
+    for i, arms in enumerate(cell.groups):
+        ways = [np.intersect1d(chain.moving_columns[k], cell.shared) for k in arms]
+        if any(not np.array_equal(way, ways[0]) for way in ways):
+            raise NotForTheCore("some of a robot's arms share joints that others of its arms do not have")
+        joints = len(ways[0]) + sum(len(chain.moving_columns[k]) - len(ways[0]) for k in arms)
+        if len(arms) > MOST_SHARING or len(ways[0]) > MOST_SHARED or joints > MOST_GROUP_JOINTS:
+            raise NotForTheCore("too many arms, or joints of arms, share joints")
+        of_arm[list(arms)], of_joint[ways[0]] = i, i
+    return of_arm, of_joint
 
 
 def _put_links(chain: Chain, at: dict[str, Array]) -> None:

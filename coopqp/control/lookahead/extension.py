@@ -16,6 +16,7 @@ from coopqp.control.lookahead.closed_chain import ClosedChainAhead, LookAheadTro
 from coopqp.control.lookahead.horizon import GridPoint, Horizon
 from coopqp.control.lookahead.options import PlanLimits, PreviewOptions
 from coopqp.model.cell import RobotCell
+from coopqp.model.chain import parts
 from coopqp.model.limits import BindingLimit, LimitKind
 from coopqp.native.constants import (
     BESIDE_KINK,
@@ -276,7 +277,8 @@ class HorizonExtension:
         if self.jump is not None:
             return BindingLimit("", "", LimitKind.PATH_JUMP)
         if last.steps_to_reach_end.min() < 2.0:
-            return BindingLimit(self._cell.arm_names[int(last.steps_to_reach_end.argmin())], "", LimitKind.REACH)
+            part = parts(self._cell)[int(last.steps_to_reach_end.argmin())]
+            return BindingLimit(self._cell.arm_names[part[0]], "", LimitKind.REACH)
         return self._arm_limit(last, LimitKind.REACH)
 
     def _arm_limit(self, knot: GridPoint, kind: LimitKind) -> BindingLimit:
