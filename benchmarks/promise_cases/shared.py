@@ -20,7 +20,6 @@ from coopqp import Arm, Grasp, InvalidInputError, LinePath, QPController, Robot,
 from coopqp.model import Chain
 from coopqp.planning import PathCheck
 from coopqp.scenarios import SHARED_JOINTS, robot_path, scenario
-from coopqp.scenarios.robots import SEVERAL_ARMS
 from coopqp.simulation import Recording
 from coopqp.spatial import Array
 from promise_cases import Promise
@@ -201,6 +200,7 @@ def _lift() -> Iterator[Promise]:
 
 #: The robots of the scenarios, and the files of their models.
 ROBOTS = {"torso_lift": "lift2", "two_on_a_rail": "rail2"}
+_TOOLS = {side: f"{side}_tool" for side in SIDES}
 
 
 def _scenarios() -> Iterator[Promise]:
@@ -222,7 +222,7 @@ def _cost(rounds: int) -> Iterator[Promise]:
         task = scenario(name)
         (shared,) = task.cell.shared.tolist()
         joint, place = task.cell.joint_names[shared].partition("/")[2], task.cell.positions(task.q_start)[shared]
-        locked = Robot(robot_path(ROBOTS[name]), SEVERAL_ARMS[ROBOTS[name]], name=name, locked_joints={joint: place})
+        locked = Robot(robot_path(ROBOTS[name]), _TOOLS, name=name, locked_joints={joint: place})
         alone = RobotCell([locked]).with_limits(acceleration=np.delete(task.cell.limits.acceleration, shared))
         cells = ((task.cell, task.q_start), (alone, np.delete(task.q_start, shared)))
         here = task.path.pose(0.0)

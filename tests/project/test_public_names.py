@@ -37,6 +37,7 @@ INSIDE = (
     "benchmarks/collisions.py",
     "benchmarks/compare_peers.py",
     "benchmarks/drive_cases.py",
+    "benchmarks/drive_peers.py",
     "benchmarks/look_ahead_cases.py",
     "benchmarks/ompl_routes.py",
     "benchmarks/planning.py",

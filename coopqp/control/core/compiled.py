@@ -23,7 +23,7 @@ from coopqp.control.monitoring.supervision import as_configuration
 from coopqp.control.operator.way import Way
 from coopqp.control.options import QPOptions
 from coopqp.control.step.constraint_set import Constraints
-from coopqp.control.step.contact import SAME_CLOCK, Contact, handed
+from coopqp.control.step.contact import Contact, handed
 from coopqp.control.step.decoding import STATUSES, RecordReader
 from coopqp.control.step.linearised import LinearisedStep, StepInput, is_long
 from coopqp.control.step.priorities import StepSolver
@@ -35,7 +35,7 @@ from coopqp.model.grasp import Grasp
 from coopqp.model.posture import Posture
 from coopqp.model.state import CellState
 from coopqp.native import layout
-from coopqp.native.constants import MOST_MINDING, MOST_TIGHTENINGS, SEGMENT
+from coopqp.native.constants import MOST_MINDING, MOST_TIGHTENINGS, SAME_CLOCK, SEGMENT
 from coopqp.paths.grasp_motion import GraspMotion
 from coopqp.paths.guarded import GuardedPath, is_known
 from coopqp.paths.path import ObjectPath

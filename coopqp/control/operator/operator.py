@@ -129,7 +129,8 @@ class Operator:
     def quiet(self) -> bool:
         """Whether steps need nothing from here, or only :meth:`passed`."""
         calm = self.wanted is None and self.way.sense != 0 and self.gear is None
-        return calm and not self._goes_on and not self._signals_to_come and self.waits_for is None
+        calm = calm and not self._goes_on and not self._signals_to_come and self.waits_for is None
+        return calm and not self._loop.contact_due
 
     # -- gates -----------------------------------------------------------------------------------------------------
 
@@ -190,7 +191,13 @@ class Operator:
     @property
     def glances(self) -> bool:
         """Whether each step has to be looked at for a moment."""
-        return self.trail is not None or not self.way.whole
+        return self.trail is not None or not self.way.whole or self._contact_ahead < math.inf
+
+    @property
+    def _contact_ahead(self) -> float:
+        """Time to the next change of contact on the way [s]."""
+        contact = self._loop.contact
+        return math.inf if contact is None else float(contact.ahead(self.loop_clock))
 
     @property
     def override(self) -> float:
@@ -432,12 +439,13 @@ class Operator:
         """Note the trail; whether the end of a section is reached. The next look is due before it can be."""
         way, loop, trail = self.way, self._loop, self.trail
         if trail is not None and way.sense > 0 and trail.due(self._looked):
-            trail.note(self.clock, loop.q, loop.velocity, loop.rate)
+            trail.note(way.clock_of(loop.clock), loop.q, loop.velocity, loop.rate)
         left = math.inf if way.whole or way.sense == 0 else way.path.duration - loop.clock
         most = _MOST_BETWEEN if trail is None or way.sense <= 0 else trail.stride
-        self.looks_in = self._looked = max(1, min(most, int(min(left, 1e6) / self._longest_dt)))
+        soon = min(left, self._contact_ahead, 1e6)
+        self.looks_in = self._looked = max(1, min(most, int(soon / self._longest_dt)))
         if left > 0.0:
-            return False
+            return bool(loop.contact_due)
         if self.waits_for is not None:
             self._say_waiting(step)
             return True

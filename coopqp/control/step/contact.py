@@ -2,7 +2,8 @@
 
 Where an arm attaches, its tool is compared with its place on the object, as the arms hold it that held it before. Too
 far from it the arms hold, and the reason names the arm and the distance. Else the grip latches where the tool is:
-nothing is corrected, and the object's measured pose goes on without a jump, though another set of arms makes it.
+nothing is corrected, and the object's measured pose goes on without a jump, though another set of arms makes it. A
+change at a clock is seen by a step that begins SAME_CLOCK before it; a start sees those from so much before on.
 """
 
 from __future__ import annotations
@@ -15,11 +16,9 @@ import pinocchio as pin
 
 from coopqp.model.cell import RobotCell
 from coopqp.model.grasp import Grasp, mean_pose
+from coopqp.native.constants import SAME_CLOCK
 from coopqp.paths.grasp_motion import GraspMotion
 from coopqp.spatial import Array
-
-#: A change at a clock is seen by a step that begins this much before it [s]; a start sees those from so much before on.
-SAME_CLOCK = 1e-9
 
 
 @final

@@ -30,7 +30,7 @@ from coopqp.control.operator.way import Way
 from coopqp.control.options import QPOptions
 from coopqp.control.step.braking_rows import BrakingRows
 from coopqp.control.step.constraint_set import Constraints
-from coopqp.control.step.contact import SAME_CLOCK, Contact, handed
+from coopqp.control.step.contact import Contact, handed
 from coopqp.control.step.linearised import LinearisedAnswer, LinearisedStep, StepInput, mean_error
 from coopqp.control.step.priorities import StepSolver
 from coopqp.control.step.rate_cap import OVERRIDE, RateCap
@@ -42,7 +42,7 @@ from coopqp.model.chain import Chain
 from coopqp.model.grasp import Grasp, mean_pose
 from coopqp.model.limits import BindingLimit, LimitKind
 from coopqp.model.posture import Posture
-from coopqp.native.constants import LEAST_PACE, MOST_TIGHTENINGS, NEGLIGIBLE, SAID_APART
+from coopqp.native.constants import LEAST_PACE, MOST_TIGHTENINGS, NEGLIGIBLE, SAID_APART, SAME_CLOCK
 from coopqp.paths.guarded import GuardedPath, jump
 from coopqp.paths.joint_path import FAR_FROM_WAY
 from coopqp.paths.path import ObjectPath
