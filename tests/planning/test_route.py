@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from itertools import pairwise
+from itertools import combinations_with_replacement, pairwise
 from typing import Any
 
 import numpy as np
@@ -115,6 +115,17 @@ def test_a_free_straight_way_is_taken() -> None:
     route = search(problem)
     assert route.verdict is RouteVerdict.STRAIGHT
     assert route.length == pytest.approx(0.2)
+
+
+def test_a_scene_without_pairs_is_in_nobodys_way() -> None:
+    task = dual_arm7()
+    bodies = (*task.cell.arm_names, "object")
+    free = CollisionScene.of(task, ignored=list(combinations_with_replacement(bodies, 2)))
+    assert not free.built.labels
+    start, goal = task.path.pose(0.0), task.path.pose(task.path.duration)
+    for q_start in (None, task.q_start):
+        route = find_path(task.cell, task.grasp, start, goal, free, q_start=q_start, nodes=100)
+        assert route.verdict is RouteVerdict.STRAIGHT
 
 
 def test_a_wall_is_not_found_a_way_round_and_nothing_is_claimed() -> None:

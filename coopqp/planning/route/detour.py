@@ -130,7 +130,7 @@ class Detours:
         required, _ = self._scene.required_at(motion.x[None])
         edges, _ = self._edges(motion.x, required + self._clearance)
         rooms = edges.rooms(motion.x)
-        backs = rests and rooms.min() < _BACKS * SPARE
+        backs = rests and rooms.min(initial=np.inf) < _BACKS * SPARE
         if backs:  # bounds of distances cannot show that bodies part that have nothing to spare
             edges, _ = self._edges(motion.x, required + self._clearance + np.minimum(rooms - SPARE, 0.0))
             rooms = edges.rooms(motion.x)

@@ -110,11 +110,11 @@ def _ends(
         for own, q in zip(columns, choice, strict=True):
             row[own] = q
         room = edges.rooms(row)
-        k = int(room.argmin())
-        if room[k] >= -SMALL_CLEARANCE:
+        if room.min(initial=np.inf) >= -SMALL_CLEARANCE:
             x.append(row)
             rooms.append(room)
         elif blocked is None:
+            k = int(room.argmin())
             alone = object_alone & (room < -SMALL_CLEARANCE)
             blocked = int(np.where(alone, room, np.inf).argmin()) if alone.any() else k
             if alone.any():

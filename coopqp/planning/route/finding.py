@@ -216,9 +216,8 @@ class _Finding:
         required, _ = self._scene.required_at(exact[None])
         self._kept.required[:] = required
         rooms = self._edges.rooms(exact)
-        k = int(rooms.argmin())
-        if rooms[k] < -SMALL_CLEARANCE:
-            first, second = self._scene.labels[k]
+        if rooms.min(initial=np.inf) < -SMALL_CLEARANCE:
+            first, second = self._scene.labels[int(rooms.argmin())]
             return Ends(np.empty((0, self._cell.nv)), rooms[None][:0], f"{first} and {second} come inside their margin")
         return Ends(exact[None], rooms[None])
 
