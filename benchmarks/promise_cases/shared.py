@@ -147,7 +147,7 @@ def promises(quick: bool) -> Iterator[Promise]:
         yield from _lift()
         yield from _scenarios()
         yield from _cost(5 if quick else 25)
-        yield from _random(folder, 6 if quick else 24)
+        yield from _random(folder, 6 if quick else 100)
 
 
 def _robots(folder: Path, torsos: tuple[tuple[tuple[str, str], ...], ...]) -> Iterator[Promise]:
