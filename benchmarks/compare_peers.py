@@ -1,4 +1,4 @@
-"""coopqp beside pink, mink, PlaCo and roboplan-oink: the same cells, starts, targets and limits, in one run.
+"""coopqp beside pink, mink, PlaCo, roboplan-oink and Drake: the same cells, starts, targets and limits, in one run.
 
 Every peer runs in a process and a virtual environment of its own, made here; the cell goes to it as a URDF or an MJCF.
 Cost is measured in interleaved rounds, behaviour on the paper's three arms. See benchmarks/README.md.
@@ -48,6 +48,7 @@ QUICK_MODES = {
     "mink": ("hard daqp", "soft daqp"),
     "placo": ("hard scaled", "soft"),
     "oink": ("soft",),
+    "drake": ("soft",),
 }
 #: Keys of every record.
 KEYS = (

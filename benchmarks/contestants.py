@@ -39,6 +39,7 @@ PINS: dict[str, tuple[str, ...]] = {
     "mink": ("mink==1.3.0", "mujoco==4.0.0", "qpsolvers==4.13.0", "daqp==0.11.0"),
     "placo": ("placo==0.10.2",),
     "oink": ("roboplan-oink==0.7.0",),
+    "drake": ("drake==1.51.1",),
 }
 PIP_INSTALL = ("-m", "pip", "install", "--quiet", "--disable-pip-version-check", "--only-binary", ":all:")
 #: Periods of the steps [s]: without a pause, or one step per millisecond with caches used by other processes.

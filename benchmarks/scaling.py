@@ -22,7 +22,7 @@ REFERENCE = 4
 #: Largest number of arms for peers: their cost grows with its cube.
 PEER_ARMS = 32
 #: One mode of each peer, with a hard chain if available.
-PEER_MODES = {"pink": "hard daqp", "mink": "hard daqp", "placo": "hard scaled", "oink": "soft"}
+PEER_MODES = {"pink": "hard daqp", "mink": "hard daqp", "placo": "hard scaled", "oink": "soft", "drake": "soft"}
 #: Memory of a controller [bytes / nv³]: about eight Pinocchio data with four tensors of nv³ numbers each.
 _BYTES = 8 * 4 * 8
 KEYS = ("peer", "version", "mode", "arms", "joints", "pacing", "p50_us", "p99_us", "ratio_4", "steps", "note")
