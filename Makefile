@@ -67,7 +67,7 @@ sanitize: export UBSAN_OPTIONS := print_stacktrace=1
 sanitize: export COOPQP_MOST_SKIPS := 8
 sanitize: $(VENV)/.installed
 	$(BIN)/cmake -S . -B $(SANITIZED) -DCMAKE_BUILD_TYPE=RelWithDebInfo -DCOOPQP_SANITIZE=ON \
-	  -DPython_EXECUTABLE=$(CURDIR)/$(BIN)/python
+	  -DCMAKE_CXX_FLAGS_RELWITHDEBINFO="-O1 -g1" -DPython_EXECUTABLE=$(CURDIR)/$(BIN)/python
 	$(BIN)/cmake --build $(SANITIZED) --parallel 2
 	rm -rf $(SANITIZED)/tree && mkdir $(SANITIZED)/tree && cp -r coopqp $(SANITIZED)/tree
 	rm -f $(SANITIZED)/tree/coopqp/native/_core*.so
