@@ -219,10 +219,20 @@ def make_driver(block: str, place: Path, cell: str = "two_ur10") -> None:
     assert set(load_cell_file(file).drivers()) == {"left", "right"}
 
 
+def run_ros2(block: str, place: Path) -> None:
+    """Tables of a driver, and that of the loop's own topics."""
+    if block.startswith("[drivers"):
+        make_driver(block, place)
+        return
+    file = place / "told.toml"
+    file.write_text((CELLS / "two_ur10.toml").read_text(encoding="utf-8") + "\n" + block, encoding="utf-8")
+    assert load_cell_file(file).settings.ros2.target_topic == "/hand"
+
+
 TOML: dict[str, Callable[[str, Path], None]] = {
     "howto/cell-file.md": run_cell_file,
     "howto/drivers.md": run_driver,
-    "howto/ros2.md": make_driver,
+    "howto/ros2.md": run_ros2,
     "howto/ur.md": make_driver,
     "howto/four-cells.md": run_arm,
     "howto/franka.md": lambda block, place: make_driver(block, place, "bar"),
