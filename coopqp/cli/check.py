@@ -102,8 +102,8 @@ def _way_round(task: _Task, check: PathCheck, report: Reporter) -> str:
     from coopqp.planning import PathVerdict, find_path
 
     blocked = check.clearance is not None and check.clearance.verdict is PathVerdict.INFEASIBLE
-    if not blocked or task.scene is None or not math.isfinite(task.path.duration):
-        return ""
+    if not blocked or task.scene is None or not math.isfinite(task.path.duration) or check.phases:
+        return ""  # phases have ways of their own
     report.note("looking for a way round")
     ends = task.path.pose(0.0), task.path.pose(task.path.duration)
     try:
@@ -154,14 +154,14 @@ def _task(name: str) -> _Task:
 
 def _look(task: _Task, report: Reporter, *, any_start: bool = False) -> PathCheck:
     from coopqp.planning import check_path
-    from coopqp.planning.tools_on_object import tools_move
+    from coopqp.planning.tools_on_object import why_no_scene
 
     if task.note:
         report.note(task.note)
     report.note("looking at the arms along the path")
     q_start, scene = None if any_start else task.q_start, task.scene
-    if scene is not None and tools_move(task.path):
-        report.note("distances are not checked: tools move on the object; a run measures them")
+    if scene is not None and (why := why_no_scene(task.cell, task.path)):
+        report.note(f"distances are not checked: {why}; a run measures them")
         scene = None
     return check_path(task.cell, task.grasp, task.path, q_start=q_start, scene=scene)
 

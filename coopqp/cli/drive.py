@@ -66,7 +66,6 @@ def add_drive(commands: Any) -> None:
 def run_drive(arguments: argparse.Namespace) -> int:
     """Run ``coopqp drive``."""
     from coopqp.checks import as_scalar
-    from coopqp.drivers.ros2_domain import require_cyclone
     from coopqp.files.cellfile import load_cell_file, require_readers
     from coopqp.output import check_new
 
@@ -84,8 +83,6 @@ def run_drive(arguments: argparse.Namespace) -> int:
     run = load_cell_file(arguments.cell)
     if run.controller_kind != "qp":
         raise InvalidInputError(f"the controller is '{run.controller_kind}'", "drive", 'Give kind = "qp".')
-    if run.settings.ros2 is not None:
-        require_cyclone()
     if arguments.enable is not None:
         return drive_enabled(run, arguments, speed)
     with _drivers(run, arguments.driver) as drivers:
@@ -94,6 +91,10 @@ def run_drive(arguments: argparse.Namespace) -> int:
 
 @contextlib.contextmanager
 def _drivers(run: CellRun, kind: str | None) -> Iterator[dict[str, RobotDriver]]:
+    from coopqp.drivers.ros2_domain import require_cyclone
+
+    if run.settings.ros2 is not None:
+        require_cyclone()  # before any robot is reached
     drivers = run.drivers(kind)
     try:
         yield drivers

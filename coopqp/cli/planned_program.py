@@ -30,6 +30,8 @@ def run_program(run: CellRun, arguments: argparse.Namespace, share: float, folde
     from coopqp.planning.branch_checks import PathVerdict
     from coopqp.planning.check import check_path
     from coopqp.planning.program_timing import time_program
+    from coopqp.planning.tools_on_object import why_no_scene
+    from coopqp.programs.program import Program
 
     for option, given in (
         ("--blend-mm", arguments.blend_mm != 0.0 or arguments.blend_deg is not None),
@@ -40,13 +42,11 @@ def run_program(run: CellRun, arguments: argparse.Namespace, share: float, folde
         if given:
             raise CellFileError(f"{arguments.cell}: {option} is for files with a path; phases are timed without it.")
     task, program = run.scenario, run.scenario.path
-    made, optimum = (
-        time_program(task.cell, task.grasp, program, q_start=task.q_start, share=part)  # type: ignore[arg-type]
-        for part in (share, 1.0)
-    )
-    assert made.grasps is not None
-    placed = not made.grasps.arms[0]  # a scene places the object by the first arm's tool
-    scene = run.scene if run.settings.collision is not None and placed else None
+    assert isinstance(program, Program)
+    made = time_program(task.cell, task.grasp, program, q_start=task.q_start, share=share)
+    optimum = made if share == 1.0 else time_program(task.cell, task.grasp, program, q_start=task.q_start)
+    why = why_no_scene(task.cell, made)
+    scene = run.scene if run.settings.collision is not None and not why else None
     check = check_path(task.cell, task.grasp, made, q_start=task.q_start, scene=scene)
     if not check.feasible:
         lost = check.verdict is PathVerdict.INFEASIBLE
@@ -59,7 +59,7 @@ def run_program(run: CellRun, arguments: argparse.Namespace, share: float, folde
         for line in (check.verdict.value, *check.explain().splitlines()):
             print(printable(line))
         if scene is None and run.settings.collision is not None:
-            say("distances were not looked at: the scene places the object by the first arm's tool, which moves on it.")
+            say(f"distances are not checked: {why}; a run measures them")
         print_written(files, apart=True)
     return _OK
 

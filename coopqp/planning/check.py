@@ -43,7 +43,7 @@ from coopqp.planning.branch_checks import (
     worst,
 )
 from coopqp.planning.clearance_check import Bodies, ClearanceCheck, check_scene
-from coopqp.planning.joint_trajectories import CellTrajectory
+from coopqp.planning.joint_trajectories import CellTrajectory, HeldTrajectory
 from coopqp.planning.joint_way_check import check_with_ways, ways_of
 from coopqp.planning.moving_trajectory import MovingTrajectory
 from coopqp.planning.phase_checks import PhaseCheck, explained, phase_checks
@@ -51,7 +51,7 @@ from coopqp.planning.segments import Segments, segments_of
 from coopqp.planning.shared_check import check_group, stands_at
 from coopqp.planning.shared_way import SharedWay
 from coopqp.planning.starts import clear_rows, exact_start
-from coopqp.planning.tools_on_object import tool_on_object, tools_move
+from coopqp.planning.tools_on_object import tool_on_object, tools_move, why_no_scene
 from coopqp.spatial import Array
 
 #: Most branches of a redundant arm that are checked; they are samples of its self-motion.
@@ -165,7 +165,7 @@ class PathCheck:
         segments = None if tools_move(self.path) else segments_of(self.path)
         if self.verdict is not PathVerdict.CERTIFIED or self.q_start is None or segments is None:
             return None
-        return CellTrajectory(self.cell, self.path, segments, trajectories, self.cell.positions(self.q_start))
+        return HeldTrajectory(self.cell, self.path, segments, trajectories, self.cell.positions(self.q_start))
 
     def explain(self) -> str:
         """The verdict, a line per arm and one for distances, in sentences; then the remedies."""
@@ -199,7 +199,7 @@ class PathCheck:
     @property
     def phases(self) -> tuple[PhaseCheck, ...]:
         """The verdict on each phase of a program; none for other paths."""
-        return phase_checks(self.path, self.arms)
+        return phase_checks(self.path, self.arms, self.clearance)
 
     def _undecided(self) -> str:
         every = [f"{i.start:.4g}–{i.end:.4g} s for arm {i.arm}" for i in self.intervals]
@@ -258,8 +258,12 @@ def check_path(
     check_scene(cell, scene, "check_path: scene")
     GuardedPath(path).check("check_path: path")
     moves = tools_move(path)
-    if moves and scene is not None:
-        _check_with_scene(cell, path)
+    if scene is not None and (why := why_no_scene(cell, path)):
+        raise InvalidInputError(
+            why,
+            "check_path: scene",
+            "Let the first arm of the cell hold the object at rest on it, or check the path without a scene.",
+        )
     if cell.groups:
         refuse_motion(path, "check_path: path", HOLD_ON)
     if q_start is None:
@@ -301,22 +305,6 @@ def check_path(
         )
     found = _result(cell, grasp, path, arms, start, clearance, scene, given=q_start is not None)
     return replace(found, shared=shared) if shared else found
-
-
-def _check_with_scene(cell: RobotCell, path: ObjectPath) -> None:
-    """Refuse what a scene cannot be placed for: it places the object by the first arm's tool.
-
-    Raises:
-        InvalidInputError: that tool moves on the object, or an arm follows a way of its joints.
-    """
-    where, motion = "check_path: scene", path.grasps
-    refuse_ways(path, where, "Check the path without a scene; a run keeps clear with Clearance.")
-    if motion is not None and motion.arms[0]:
-        raise InvalidInputError(
-            f"the tool of arm '{cell.arm_names[0]}' moves on the object, and a scene places the object by it",
-            where,
-            "Let the first arm of the cell hold the object at rest on it, or check the path without a scene.",
-        )
 
 
 def _distances_of_tools(
@@ -382,7 +370,7 @@ def check_motion(cell: RobotCell, grasp: Grasp, path: TimedPath, x: Array, scene
     clearance = None
     if worst([arm.verdict for arm in arms]) is PathVerdict.CERTIFIED:
         trajectories = [arm.chosen.trajectory for arm in arms if arm.chosen is not None]
-        clearance = scene.along(CellTrajectory(cell, path, segments, trajectories, x[0]))
+        clearance = scene.along(HeldTrajectory(cell, path, segments, trajectories, x[0]))
     return _result(cell, grasp, path, arms, cell.configuration(x[0]), clearance, scene, given=True)
 
 
@@ -451,7 +439,7 @@ def _distances(
     """Distances along the arms' trajectories, or along others that their self-motion allows; and the arms on them."""
 
     def trajectory_of(arms: list[ArmCheck]) -> CellTrajectory:
-        return CellTrajectory(
+        return HeldTrajectory(
             cell, path, segments, [arm.chosen.trajectory for arm in arms if arm.chosen is not None], rest
         )
 

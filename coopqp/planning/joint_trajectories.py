@@ -5,8 +5,10 @@ A place is the number of a segment plus the share of it, or the clock of a path 
 
 from __future__ import annotations
 
+import abc
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import final
 
 import numpy as np
 import numpy.typing as npt
@@ -22,6 +24,7 @@ from coopqp.spatial import Array, as_placement
 _EXACT = 1e-10
 
 
+@final
 @dataclass(frozen=True, eq=False)
 class ArmTrajectory:
     """Joint trajectory of one arm: exact at its places; between them the tool's pose is reached.
@@ -75,12 +78,11 @@ class ArmTrajectory:
         return np.clip(i, 0, len(self.places) - 2)
 
 
-class CellTrajectory:
+class CellTrajectory(abc.ABC):
     """Joint trajectories of all arms of a cell.
 
     Args:
         cell, path: the arms, and the object's path.
-        segments: of the path; None if it has none.
         arms: the trajectory of each arm.
         rest: positions (nv,) of joints that move no tool.
 
@@ -89,41 +91,90 @@ class CellTrajectory:
         complete: they go to the end of the path.
     """
 
-    def __init__(
-        self, cell: RobotCell, path: ObjectPath, segments: Segments | None, arms: Sequence[ArmTrajectory], rest: Array
-    ) -> None:
-        self.cell, self._path, self._segments, self._arms = cell, path, segments, tuple(arms)
-        self._rest = rest
+    places: Array
+    complete: bool
+
+    def __init__(self, cell: RobotCell, path: ObjectPath, arms: Sequence[ArmTrajectory], rest: Array) -> None:
+        self.cell, self._path, self._arms, self._rest = cell, path, tuple(arms), rest
         self._columns = [own[arm.kinematics.columns] for own, arm in zip(cell.columns, self._arms, strict=True)]
-        end = min(float(arm.places[-1]) for arm in self._arms)
-        every = np.unique(np.concatenate([arm.places for arm in self._arms]))
-        self.places: Array = every[every <= end]
-        last = path.duration if segments is None else float(len(segments))
-        self.complete = end >= last or len(self.places) == 1
 
     @property
     def duration(self) -> float:
         """Duration of the whole path [s]."""
         return self._path.duration
 
+    @abc.abstractmethod
     def clocks(self, places: Array) -> Array:
         """Clocks (M,) [s]."""
-        if self._segments is None:
-            return places
-        segment, share = self._split(places)
-        return self._segments.clocks(segment, share)
+
+    @abc.abstractmethod
+    def poses(self, places: Array) -> Array:
+        """T_world_object (M, 4, 4) at places (M,)."""
+
+    @abc.abstractmethod
+    def seen_by(self, k: int, places: Array, T_world_object: Array) -> tuple[Array, Array]:
+        """Places (M,) of arm k's own trajectory, and the object (M, 4, 4) as it would hold it by a fixed grasp."""
+
+    @abc.abstractmethod
+    def reached(self, x: Array, T_world_object: Array) -> Array | None:
+        """Joint positions (nv,) near ``x`` that hold the object at a pose (4, 4); None if there are none."""
+
+    @abc.abstractmethod
+    def motion(self, low: Array, high: Array) -> Array:
+        """Largest motion of each joint (M, nv) between two places (M,) without a place between; inf if not proved."""
 
     def positions(self, places: Array) -> tuple[Array, npt.NDArray[np.bool_]]:
         """Joint positions (M, nv) [rad or m] at places (M,), and where they hold the object."""
         T = self.poses(places)
         x, solved = np.tile(self._rest, (len(places), 1)), np.ones(len(places), dtype=bool)
-        for columns, arm in zip(self._columns, self._arms, strict=True):
-            x[:, columns], found = arm.at(places, T)
+        for k, (columns, arm) in enumerate(zip(self._columns, self._arms, strict=True)):
+            x[:, columns], found = arm.at(*self.seen_by(k, places, T))
             solved &= found
         return x, solved
 
+    def object_motion(self, low: Array, high: Array) -> tuple[Array, Array]:
+        """Motion of the object's origin [m] and its turn [rad] between places (M,) of one segment; inf if not known."""
+        unknown = np.full(len(low), np.inf)
+        return unknown, unknown
+
+
+@final
+class HeldTrajectory(CellTrajectory):
+    """All tools rest on the object.
+
+    Args:
+        cell, path, arms, rest: as of :class:`CellTrajectory`.
+        segments: of the path; None if it has none.
+    """
+
+    def __init__(
+        self, cell: RobotCell, path: ObjectPath, segments: Segments | None, arms: Sequence[ArmTrajectory], rest: Array
+    ) -> None:
+        super().__init__(cell, path, arms, rest)
+        self._segments = segments
+        end = min(float(arm.places[-1]) for arm in self._arms)
+        every = np.unique(np.concatenate([arm.places for arm in self._arms]))
+        self.places = every[every <= end]
+        last = path.duration if segments is None else float(len(segments))
+        self.complete = end >= last or len(self.places) == 1
+
+    def clocks(self, places: Array) -> Array:
+        """See :meth:`CellTrajectory.clocks`."""
+        return places if self._segments is None else self._segments.clocks(*self._segments.split(places))
+
+    def poses(self, places: Array) -> Array:
+        """See :meth:`CellTrajectory.poses`."""
+        if self._segments is not None:
+            return self._segments.poses(*self._segments.split(places))
+        poses = [as_placement(self._path.pose(u), f"the path's pose at {u:g} s") for u in places.tolist()]
+        return np.array([T.homogeneous for T in poses])
+
+    def seen_by(self, k: int, places: Array, T_world_object: Array) -> tuple[Array, Array]:
+        """See :meth:`CellTrajectory.seen_by`: as it is."""
+        return places, T_world_object
+
     def reached(self, x: Array, T_world_object: Array) -> Array | None:
-        """Joint positions (nv,) near ``x`` that hold the object at a pose (4, 4); None if there are none."""
+        """See :meth:`CellTrajectory.reached`."""
         if self.cell.groups:
             return None  # each arm would move the joints that it shares its own way
         out = x.copy()
@@ -135,29 +186,16 @@ class CellTrajectory:
         return out
 
     def motion(self, low: Array, high: Array) -> Array:
-        """Largest motion of each joint (M, nv) between two places (M,) without a place between; inf if not proved."""
+        """See :meth:`CellTrajectory.motion`."""
         out = np.zeros((len(low), self.cell.nv))
         for columns, arm in zip(self._columns, self._arms, strict=True):
             out[:, columns] = arm.motion(low, high)
         return out
 
     def object_motion(self, low: Array, high: Array) -> tuple[Array, Array]:
-        """Motion of the object's origin [m] and its turn [rad] between places (M,) of one segment; inf if not known."""
+        """See :meth:`CellTrajectory.object_motion`."""
         if self._segments is None:
-            unknown = np.full(len(low), np.inf)
-            return unknown, unknown
-        s = self._split(0.5 * (low + high))[0]
+            return super().object_motion(low, high)
+        s, _ = self._segments.split(0.5 * (low + high))
         motion = self._segments.bounds(s, low - s, high - s)
         return motion.way * (high - low), motion.turn * (high - low)
-
-    def _split(self, places: Array) -> tuple[Indices, Array]:
-        assert self._segments is not None
-        segment = np.clip(np.floor(places).astype(np.intp), 0, len(self._segments) - 1)
-        return segment, places - segment
-
-    def poses(self, places: Array) -> Array:
-        """T_world_object (M, 4, 4) at places (M,)."""
-        if self._segments is not None:
-            return self._segments.poses(*self._split(places))
-        poses = [as_placement(self._path.pose(u), f"the path's pose at {u:g} s") for u in places.tolist()]
-        return np.array([T.homogeneous for T in poses])

@@ -6,7 +6,6 @@ from collections.abc import Sequence
 from typing import final
 
 import numpy as np
-import numpy.typing as npt
 
 from coopqp.model.cell import RobotCell
 from coopqp.paths.path import ObjectPath
@@ -34,10 +33,10 @@ class MovingTrajectory(CellTrajectory):
         tools: Sequence[Segments | None],
         rest: Array,
     ) -> None:
-        super().__init__(cell, path, None, arms, rest)
+        super().__init__(cell, path, arms, rest)
         self._tools = tuple(tools)
         every = [
-            arm.places if tool is None or len(arm.places) == 1 else tool.clocks(*_split(tool, arm.places))
+            arm.places if tool is None or len(arm.places) == 1 else tool.clocks(*tool.split(arm.places))
             for tool, arm in zip(self._tools, self._arms, strict=True)
         ]
         end = min(float(clocks[-1]) for clocks in every)
@@ -47,35 +46,29 @@ class MovingTrajectory(CellTrajectory):
         self.complete = end >= path.duration - 1e-6
 
     def clocks(self, places: Array) -> Array:
-        """Clocks (M,) [s]: the places themselves."""
+        """See :meth:`CellTrajectory.clocks`: the places themselves."""
         return places
 
     def poses(self, places: Array) -> Array:
-        """T_world_object (M, 4, 4) at places (M,)."""
+        """See :meth:`CellTrajectory.poses`."""
         return np.array([as_placement(self._path.pose(u), "path").homogeneous for u in places.tolist()])
 
-    def positions(self, places: Array) -> tuple[Array, npt.NDArray[np.bool_]]:
-        """Joint positions (M, nv) [rad or m] at places (M,), and where the tools are on their paths."""
-        x, solved = np.tile(self._rest, (len(places), 1)), np.ones(len(places), dtype=bool)
-        for k, (columns, arm, tool) in enumerate(zip(self._columns, self._arms, self._tools, strict=True)):
-            at = self._own(arm, tool, places)
-            T = self._carried(k, places) if tool is None else tool.poses(*_split(tool, at))
-            x[:, columns], found = arm.at(at, T)
-            solved &= found
-        return x, solved
-
-    def _carried(self, k: int, clocks: Array) -> Array:
-        """Where the object would be for arm k with a fixed grasp (M, 4, 4): T_world_object M_k."""
+    def seen_by(self, k: int, places: Array, T_world_object: Array) -> tuple[Array, Array]:
+        """See :meth:`CellTrajectory.seen_by`."""
+        tool = self._tools[k]
+        at = self._own(self._arms[k], tool, places)
+        if tool is not None:
+            return at, tool.poses(*tool.split(at))
         motion = self._path.grasps
         assert motion is not None
-        return np.array([(self._path.pose(u) * motion.moved(k, u)).homogeneous for u in clocks.tolist()])
+        return at, T_world_object @ np.array([motion.moved(k, u).homogeneous for u in places.tolist()])
 
     def reached(self, x: Array, T_world_object: Array) -> Array | None:
         """None: what an arm reaches is its tool's path, not the object."""
         return None
 
     def motion(self, low: Array, high: Array) -> Array:
-        """Largest motion of each joint (M, nv) between two places (M,) without a place between; inf if not proved."""
+        """See :meth:`CellTrajectory.motion`."""
         out = np.zeros((len(low), self.cell.nv))
         for columns, arm, tool in zip(self._columns, self._arms, self._tools, strict=True):
             out[:, columns] = arm.motion(self._own(arm, tool, low), self._own(arm, tool, high))
@@ -88,8 +81,3 @@ class MovingTrajectory(CellTrajectory):
         before = arm.places[np.clip(np.searchsorted(arm.places, places) - 1, 0, len(arm.places) - 1)]
         nearest = np.where(np.abs(near - places) < np.abs(before - places), near, before)
         return np.where(np.abs(nearest - places) < 1e-7, nearest, places)
-
-
-def _split(tool: Segments, places: Array) -> tuple[npt.NDArray[np.intp], Array]:
-    segment = np.clip(np.floor(places).astype(np.intp), 0, len(tool) - 1)
-    return segment, places - segment

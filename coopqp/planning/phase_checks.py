@@ -9,6 +9,7 @@ from typing import Any
 from coopqp.paths.path import ObjectPath
 from coopqp.planning.arm_check import ArmCheck
 from coopqp.planning.branch_checks import PathVerdict, worst
+from coopqp.planning.clearance_check import ClearanceCheck
 from coopqp.programs.program import Program
 
 #: A clock this close to the end of a phase belongs to it [s].
@@ -21,8 +22,9 @@ class PhaseCheck:
 
     Attributes:
         name, start, end: the phase, and its clocks on the program [s].
-        verdict: the worst of the arms'; INFEASIBLE in the phase in which an arm cannot go on; None in those after it.
-        arm: the arm that makes it; empty if all are alike.
+        verdict: the worst of the arms and the distances; INFEASIBLE in the phase in which an arm cannot go on, or a
+            pair comes inside its margin; None in those after it.
+        arm: the arm that makes it; empty if all are alike, or distances make it.
         why: the reason against a better one.
     """
 
@@ -46,27 +48,33 @@ class PhaseCheck:
         }
 
 
-def phase_checks(path: ObjectPath, arms: Sequence[ArmCheck]) -> tuple[PhaseCheck, ...]:
-    """The verdict on each phase of a program; none for other paths."""
+def phase_checks(
+    path: ObjectPath, arms: Sequence[ArmCheck], clearance: ClearanceCheck | None
+) -> tuple[PhaseCheck, ...]:
+    """The verdict on each phase of a program, its distances included where they were checked; none for other paths."""
     if not isinstance(path, Program):
         return ()
     stops = [
-        (0.0 if arm.chosen is None else arm.chosen.until, arm) for arm in arms if arm.verdict is PathVerdict.INFEASIBLE
+        (0.0 if arm.chosen is None else arm.chosen.until, arm.arm, arm.trouble)
+        for arm in arms
+        if arm.verdict is PathVerdict.INFEASIBLE
     ]
-    until, stopped = min(stops, key=lambda stop: stop[0]) if stops else (float("inf"), None)
+    if clearance is not None and clearance.stop is not None and (by := clearance.stopped_by) is not None:
+        stops.append((clearance.stop, "", f"{by.first} and {by.second} come inside their margin"))
+    until, by_arm, trouble = min(stops, key=lambda stop: stop[0]) if stops else (float("inf"), "", "")
     found = []
     for span in path.spans:
         own = {"name": span.name, "start": span.start, "end": span.end}
-        if stopped is not None and until < span.start - _END:
+        if until < span.start - _END:
             found.append(PhaseCheck(**own, verdict=None, why="it is not reached"))  # type: ignore[arg-type]
             continue
-        if stopped is not None and (until < span.end - _END or span is path.spans[-1]):
-            found.append(
-                PhaseCheck(**own, verdict=PathVerdict.INFEASIBLE, arm=stopped.arm, why=stopped.trouble)  # type: ignore[arg-type]
-            )
+        if stops and (until < span.end - _END or span is path.spans[-1]):
+            found.append(PhaseCheck(**own, verdict=PathVerdict.INFEASIBLE, arm=by_arm, why=trouble))  # type: ignore[arg-type]
             until = -1.0
             continue
         verdicts = [(_verdict(arm, span.start, span.end), arm.arm) for arm in arms]
+        if clearance is not None:
+            verdicts.append((_of_distances(clearance, span.start, span.end), ""))
         verdict = worst([v for v, _ in verdicts])
         worse = [name for v, name in verdicts if v is verdict]
         arm = worse[0] if len(worse) == 1 and verdict is not PathVerdict.CERTIFIED else ""
@@ -85,6 +93,13 @@ def _verdict(arm: ArmCheck, start: float, end: float) -> PathVerdict:
         return arm.verdict
     proved = sum(max(min(b, end) - max(a, start), 0.0) for a, b in chosen.certified)
     return PathVerdict.CERTIFIED if proved >= (end - start) - _END else PathVerdict.SAMPLED
+
+
+def _of_distances(clearance: ClearanceCheck, start: float, end: float) -> PathVerdict:
+    """The verdict on the distances from one clock to another [s], before a pair comes inside its margin."""
+    if any(a < end - _END and b > start + _END for a, b in clearance.undecided):
+        return PathVerdict.UNDECIDED
+    return PathVerdict.SAMPLED if clearance.verdict is PathVerdict.SAMPLED else PathVerdict.CERTIFIED
 
 
 def explained(phases: Sequence[PhaseCheck]) -> list[str]:

@@ -56,6 +56,11 @@ class Segments:
         """Length of each piece (S,) [m]."""
         return np.array([piece.length for piece in self.pieces])
 
+    def split(self, places: Array) -> tuple[Indices, Array]:
+        """Numbers of segments (M,), and shares of them (M,), at places (M,): their sums."""
+        segment = np.clip(np.floor(places).astype(np.intp), 0, len(self) - 1)
+        return segment, places - segment
+
     def poses(self, segment: Indices, share: Array) -> Array:
         """T_world_object (M, 4, 4) at shares (M,) of segments (M,)."""
         T = np.zeros((len(share), 4, 4))

@@ -15,6 +15,7 @@ import numpy as np
 import pinocchio as pin
 
 from coopqp.constraints.samples import PathSamples
+from coopqp.model.cell import RobotCell
 from coopqp.native.constants import SEGMENT
 from coopqp.paths.geometry import MotionBounds, Piece
 from coopqp.paths.grasp_motion import GraspPiece
@@ -32,6 +33,17 @@ def tools_move(path: ObjectPath) -> bool:
     """Whether tools move on the object along a path."""
     motion = getattr(path, "grasps", None)
     return motion is not None and bool(motion.moves)
+
+
+def why_no_scene(cell: RobotCell, path: ObjectPath) -> str:
+    """Why distances cannot be told along a path; empty where they can: a scene places the object by the first tool."""
+    motion = getattr(path, "grasps", None)
+    if motion is None or not motion.moves:
+        return ""
+    if motion.leads:
+        return "an arm follows a way of its joints"
+    first = f"the tool of arm '{cell.arm_names[0]}' moves on the object, and a scene places the object by it"
+    return first if motion.arms[0] else ""
 
 
 @final

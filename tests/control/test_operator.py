@@ -59,6 +59,14 @@ def to_the_end(controller: QPController) -> list[ControlStep]:
     return done
 
 
+def off_path(kernel: str) -> tuple[QPController, list[ControlStep]]:
+    """A lift whose first arm was seen elsewhere: the object is off its path."""
+    controller = lift(kernel)
+    far = controller.commanded.copy()
+    far[controller.cell.q_slices[0]] += 0.1
+    return controller, [controller.step(far)]
+
+
 def kept(controller: QPController, done: list[ControlStep], *, moving: bool = False) -> None:
     """All limits are kept, the arms hold the object, and it is on its path."""
     monitor = Monitor(controller.cell, controller.grasp)
@@ -134,10 +142,7 @@ def test_to_a_clock_in_motion_and_on_with_resume(kernel: str) -> None:
 @both
 def test_the_rate_of_a_step_that_a_section_ends_early(kernel: str) -> None:
     """An arm was seen elsewhere, so the object is off its path: its last step would lead beyond where it is to rest."""
-    controller = lift(kernel)
-    far = controller.commanded.copy()
-    far[controller.cell.q_slices[0]] += 0.1
-    done = [controller.step(far)]
+    controller, done = off_path(kernel)
     controller.run_to(0.5 * controller.path.duration)
     done += until(controller, Status.PAUSED)
     controller.reverse()
@@ -149,10 +154,7 @@ def test_the_rate_of_a_step_that_a_section_ends_early(kernel: str) -> None:
 @both
 def test_the_rate_of_the_first_step_back_that_is_the_last(kernel: str) -> None:
     """The object is off its path and the start of the way back is its end."""
-    controller = lift(kernel)
-    far = controller.commanded.copy()
-    far[controller.cell.q_slices[0]] += 0.1
-    done = [controller.step(far)]
+    controller, done = off_path(kernel)
     for i in range(18):
         controller.gear(controller.program_clock + 0.005 * i)
         done += steps(controller, 1)

@@ -30,7 +30,7 @@ from coopqp.model import CellState
 from coopqp.model.chain import Chain
 from coopqp.model.inverse_kinematics import newton
 from coopqp.planning import PathCheck, PathVerdict, find_remedies
-from coopqp.planning.joint_trajectories import CellTrajectory
+from coopqp.planning.joint_trajectories import HeldTrajectory
 from coopqp.planning.segments import segments_of
 from coopqp.scenarios import (
     Scenario,
@@ -128,7 +128,7 @@ def test_a_ball_that_is_passed_between_samples_is_seen(share: float) -> None:
     assert clear.clearance is not None
     assert clear.clearance.verdict is CERTIFIED
     ways = [arm.chosen.trajectory for arm in clear.arms if arm.chosen is not None]
-    way = CellTrajectory(task.cell, task.path, segments_of(task.path), ways, task.cell.positions(task.q_start))
+    way = HeldTrajectory(task.cell, task.path, segments_of(task.path), ways, task.cell.positions(task.q_start))
     samples = [task.path.pose(float(t)).translation for t in way.clocks(way.places)]
     at_samples = min(float(np.linalg.norm(p - ball.placement.translation)) for p in samples) - 0.1
     margin = 0.5 * (at_samples + near - 0.1)
@@ -169,11 +169,11 @@ def test_beyond_the_end_of_an_arms_way_nothing_is_proved() -> None:
     ways = [arm.chosen.trajectory for arm in found.arms if arm.chosen is not None]
     segments, rest = segments_of(task.path), task.cell.positions(task.q_start)
     scene = CollisionScene.of(task, margin=0.005)
-    whole = scene.along(CellTrajectory(task.cell, task.path, segments, ways, rest))
+    whole = scene.along(HeldTrajectory(task.cell, task.path, segments, ways, rest))
     assert whole.verdict is CERTIFIED
     half = len(ways[1].q) // 2
     ways[1] = replace(ways[1], places=ways[1].places[: half + 1], q=ways[1].q[: half + 1], rates=ways[1].rates[:half])
-    part = CellTrajectory(task.cell, task.path, segments, ways, rest)
+    part = HeldTrajectory(task.cell, task.path, segments, ways, rest)
     ended = scene.along(part)
     assert ended.verdict is UNDECIDED
     end = float(part.clocks(part.places[-1:])[0])
@@ -187,7 +187,7 @@ def test_beyond_the_end_of_an_arms_way_nothing_is_proved() -> None:
 def test_joints_stay_within_the_motion_that_is_proved(task: Scenario, rng: Any) -> None:
     found = check_path(task.cell, task.grasp, task.path, q_start=task.q_start)
     ways = [arm.chosen.trajectory for arm in found.arms if arm.chosen is not None]
-    way = CellTrajectory(task.cell, task.path, segments_of(task.path), ways, task.cell.positions(task.q_start))
+    way = HeldTrajectory(task.cell, task.path, segments_of(task.path), ways, task.cell.positions(task.q_start))
     assert way.complete
     chain = Chain(task.cell, task.grasp)
     for i in rng.choice(len(way.places) - 1, 12, replace=False):
@@ -245,7 +245,7 @@ def test_the_proof_holds_for_a_motion_of_the_elbow_that_evades() -> None:
     found = checked(task, scene)
     assert found.verdict is CERTIFIED
     ways = [arm.chosen.trajectory for arm in found.arms if arm.chosen is not None]
-    way = CellTrajectory(task.cell, task.path, segments_of(task.path), ways, task.cell.positions(task.q_start))
+    way = HeldTrajectory(task.cell, task.path, segments_of(task.path), ways, task.cell.positions(task.q_start))
     places = np.linspace(0.0, way.places[-1], 201)
     q = np.array([task.cell.configuration(row) for row in way.positions(places)[0]])
     closest = Closeness(scene).closest(q, way.clocks(places))

@@ -240,6 +240,20 @@ def test_a_phase_of_a_cell_file_searches_its_way(tmp_path: Path) -> None:
             load_cell_file(written(tmp_path, text.replace(old, new)))
 
 
+def test_a_body_in_the_way_ends_the_check_of_phases(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """The command asks for distances too, and names the phase."""
+    beam = (
+        '\n[[collision.obstacles]]\nname = "beam"\nshape = "box"\nsize_m = [0.1, 0.1, 0.1]\n'
+        "at = { xyz_m = [0.95, 0.0, 0.27] }\n"
+    )
+    cell = re.sub(r"\[phases.arms.master\]\n(.+\n)*", "", CELL)  # a scene places the object by the first arm's tool
+    file = written(tmp_path, cell + beam)
+    assert main(["check", str(file)]) == 3
+    said = capsys.readouterr().out
+    assert "beam come inside their margin" in said
+    assert re.search(r"phase \w+ \(.*\): infeasible; .* and beam", said)
+
+
 def test_a_whole_program_is_planned_from_its_file_and_runs(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """What is written reads back to the same program: phases, contact, gates, and the motions of the tools."""
     pytest.importorskip("toppra")

@@ -74,6 +74,10 @@ def test_a_body_in_the_way_of_a_tool_that_goes_over_is_named() -> None:
     assert "ball" in (check.clearance.stopped_by.first, check.clearance.stopped_by.second)
     assert check.clearance.stop is not None
     assert check.clearance.stop < 1.2
+    over, after = check.phases
+    assert over.verdict is check.verdict
+    assert "ball" in over.why
+    assert after.verdict is None
 
 
 def test_what_moves_by_two_time_laws_is_sampled_and_what_cannot_be_placed_is_refused() -> None:

@@ -378,10 +378,10 @@ class CompiledLoop:
         """A step whose input may be anything, whose path may fail, or that has further rows."""
         self._said.clear()
         measured = None if q_measured is None else self._as_measured(q_measured)
-        drifted, shares = bool(self._loop.drifted), self.at["shares"].copy()
+        before = (bool(self._loop.drifted), self.at["shares"].copy()) if self.contact_due else None
         self._core.observe(measured, dt)
-        if self.contact_due:
-            self._take_contact(drifted, shares)
+        if before is not None:
+            self._take_contact(*before)
         outcome = self._core.propose(self._put_rows(), False)
         return self.finish(outcome)
 

@@ -108,12 +108,8 @@ def _search(table: PhaseSearchTable, name: str, scene: CollisionScene | None) ->
         raise InvalidInputError("it is searched, and no bodies are known", where, "Add a table [collision].")
     if table.goal.free:
         raise InvalidInputError("its goal has free turns", where, "Give a goal without: the next phase begins there.")
-    options: dict[str, Any] = {"time_limit": table.time_limit_s, "seed": table.seed, "clearance": table.clearance_m}
-    options["nodes"] = table.nodes
-    if table.region is not None:
-        options["region"] = [table.region.low_m, table.region.high_m]
     start = None if table.start is None else build_placement(table.start)
-    return Search(build_placement(table.goal), scene, speed=table.speed_m_per_s, options=options, start=start)
+    return Search(build_placement(table.goal), scene, speed=table.speed_m_per_s, options=table.options, start=start)
 
 
 def _way(table: FollowsJointsTable, cell: RobotCell, name: str) -> JointPath:

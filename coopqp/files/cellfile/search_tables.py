@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 from annotated_types import Ge, Le, Len
 from pydantic import Field, model_validator
@@ -63,3 +63,10 @@ class SearchTable(Table):
     speed_m_per_s: Annotated[float, Ge(1e-3), Le(10.0)] = Field(
         default=0.25, description="largest speed along the way at full rate; 1 rad counts as 0.3 m"
     )
+
+    @property
+    def options(self) -> dict[str, Any]:
+        """Arguments of :func:`coopqp.find_path` beside start, goal and bodies."""
+        region = {} if self.region is None else {"region": [self.region.low_m, self.region.high_m]}
+        given = {"time_limit": self.time_limit_s, "seed": self.seed, "clearance": self.clearance_m, "nodes": self.nodes}
+        return given | region

@@ -105,11 +105,7 @@ def search_task(
     if path is None:
         assert isinstance(table, SearchTable)
         start, goal = build_placement(table.start), _goal(table.goal)
-        options = {"time_limit": table.time_limit_s, "seed": table.seed, "clearance": table.clearance_m}
-        options["nodes"] = table.nodes
-        if table.region is not None:
-            options["region"] = [table.region.low_m, table.region.high_m]
-        speed = table.speed_m_per_s
+        options, speed = table.options, table.speed_m_per_s
     else:
         start, goal = path.pose(0.0), path.pose(path.duration)
     if q_start is not None and is_near:

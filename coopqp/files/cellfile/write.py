@@ -127,7 +127,7 @@ def planned_text(run: CellRun, plan: Plan, *, folder: Path, into: Path) -> str:
 
 
 def planned_program_text(run: CellRun, program: Program, *, folder: Path, into: Path) -> str:
-    """A program that :func:`coopqp.planning.time_program` has timed as a cell file in TOML, bit for bit.
+    """A program that :func:`coopqp.planning.time_program` has timed, as a cell file in TOML.
 
     Args:
         run: the run of the cell file that was planned for; its start stays.
