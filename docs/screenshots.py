@@ -6,10 +6,12 @@
 from __future__ import annotations
 
 import argparse
+import itertools
 import tempfile
 from collections.abc import Callable
 from pathlib import Path
 
+import numpy as np
 from browser import NAMES, Page, Picture, find_browser
 from PIL import Image
 
@@ -81,6 +83,15 @@ def operated() -> list[Seen]:
     return seen
 
 
+def _palette() -> Image.Image:
+    """Grey values, then colours at even distances: the same for each run, unlike one that is made from the pictures."""
+    greys = [(v, v, v) for v in np.linspace(0, 255, 76).round().astype(int).tolist()]
+    red, green, blue = (np.linspace(0, 255, n).round().astype(int).tolist() for n in (6, 6, 5))
+    image = Image.new("P", (1, 1))
+    image.putpalette([v for colour in (*greys, *itertools.product(red, green, blue)) for v in colour])
+    return image
+
+
 def shoot_jog(picture: Path, *, width: int = 880, height: int = 470) -> None:
     """The operator's page while an object is led, as a moving picture."""
     frames: list[Picture] = []
@@ -94,12 +105,17 @@ def shoot_jog(picture: Path, *, width: int = 880, height: int = 470) -> None:
         page.wait_until(lambda: _drawn(page.screenshot()), timeout=90)
         _without_notes(page)
         page.settled()
+
+        def wait_for_text(text: str) -> None:
+            page.wait_until(lambda: text in page.evaluate("document.body.innerText"))
+
         for seen in operated():
             shown.show(seen)
+            wait_for_text(seen.lines()[0])
             frames.append(page.settled(every=0.3))
     shown.close()
     images = [Image.fromarray(frame.astype("uint8")) for frame in frames]
-    palette = images[len(images) // 2].quantize(128)
+    palette = _palette()
     small = [image.quantize(palette=palette, dither=Image.Dither.NONE) for image in images]
     spans = [300] * (len(small) - 1) + [1500]
     small[0].save(picture, save_all=True, append_images=small[1:], duration=spans, loop=0, optimize=True)

@@ -111,6 +111,12 @@ class AnyCall(RuleBasedStateMachine):
                 return True
         return False
 
+    def _seen_pose(self) -> pin.SE3:
+        """T_world_object at the start of the next step."""
+        step = self.controller.step()
+        self._take(step)
+        return self.controller.grasp.carried(step.state)[0]
+
     @rule(there=shares, back=shares, forgets=st.booleans())
     def back_and_on_again_is_where_it_was(self, there: float, back: float, forgets: bool) -> None:
         """A section of the program, then its way back, then the section: the same pose, and the same configuration."""
@@ -120,7 +126,7 @@ class AnyCall(RuleBasedStateMachine):
         controller.run_to(clock)
         if not self._rests_at(clock):
             return
-        here, pose = controller.commanded.copy(), controller.grasp.carried(controller.step().state)[0]
+        here, pose = controller.commanded.copy(), self._seen_pose()
         if np.linalg.norm(pose.translation - controller.path.pose(clock).translation) > 1e-6:
             return  # a fault has left the object beside its path, and it still comes back
         controller.reverse(back * clock)
@@ -130,7 +136,7 @@ class AnyCall(RuleBasedStateMachine):
             controller = self.controller = copy.deepcopy(controller)
         controller.run_to(clock)
         if self._rests_at(clock):
-            again = controller.grasp.carried(controller.step().state)[0]
+            again = self._seen_pose()
             assert np.abs((pose.inverse() * again).homogeneous - np.eye(4)).max() < 1e-5
             if controller.cell.nv == 6 * len(controller.cell):  # else the posture task leads the elbows on
                 assert np.abs(controller.commanded - here).max() < 1e-4

@@ -46,12 +46,16 @@ def test_a_program_draws_the_pictures_of_the_pages(program: str, tmp_path: Path)
 def test_a_picture_differs_by_the_share_of_its_changed_pixels(tmp_path: Path) -> None:
     plain = Image.new("RGB", (20, 10), "white")
     spot, blue = plain.copy(), Image.new("RGB", plain.size, "blue")
-    spot.paste("red", (0, 0, 4, 5))
+    spot.paste("red", (2, 2, 6, 7))
     for name, images in {"a": [plain], "b": [spot], "c": [plain, blue], "d": [spot, blue]}.items():
         images[0].save(tmp_path / f"{name}.webp", save_all=True, append_images=images[1:], lossless=True)
     plain.resize((10, 10)).save(tmp_path / "e.png")
-    names = {name: tmp_path / f"{name}.webp" for name in "abcd"} | {"e": tmp_path / "e.png"}
+    moved = plain.copy()
+    moved.paste("red", (3, 3, 7, 8))
+    moved.save(tmp_path / "f.webp", lossless=True)
+    names = {name: tmp_path / f"{name}.webp" for name in "abcdf"} | {"e": tmp_path / "e.png"}
     assert difference(names["a"], names["a"]) == 0.0
     assert difference(names["a"], names["b"]) == pytest.approx(0.1)
+    assert difference(names["b"], names["f"]) == 0.0  # moved by one pixel
     assert difference(names["c"], names["d"]) == pytest.approx(0.05)
     assert difference(names["a"], names["e"]) == 1.0
