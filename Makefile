@@ -35,7 +35,7 @@ check: $(VENV)/.installed
 quick: $(VENV)/.installed
 	HYPOTHESIS_PROFILE=check $(PYTEST) -m "not slow"
 
-# Before every commit: all tests, 14 minutes on two cores.
+# Before every commit: all tests, 15 to 28 minutes on two cores.
 test: $(VENV)/.installed
 	@mkdir -p out
 	$(PYTEST) --reliability-json=out/reliability.json
@@ -60,7 +60,8 @@ core: $(VENV)/.installed
 
 # The tests marked core in a copy of the package whose core stops at the first wrong access to memory and the first
 # undefined operation. The lines before them make sure that it is this core that the tests get. Eight tests are skipped:
-# they compare roundings of cores that are compiled alike.
+# they compare roundings of cores that are compiled alike. Tests of the definition alone (plain) are left out.
+# SOME="and not slow" leaves slow tests out, too.
 sanitize: export PYTHONPATH := $(CURDIR)/tests/elsewhere:$(CURDIR)/$(SANITIZED)/tree
 sanitize: export ASAN_OPTIONS := detect_leaks=0
 sanitize: export UBSAN_OPTIONS := print_stacktrace=1
@@ -76,7 +77,7 @@ sanitize: $(VENV)/.installed
 	export LD_PRELOAD="$$(cc -print-file-name=libasan.so) $$(cc -print-file-name=libstdc++.so.6)" PYTHONMALLOC=malloc; \
 	(cd $(SANITIZED) && $(CURDIR)/$(BIN)/python -c \
 	  'from coopqp.native import _core as n; assert "$(SANITIZED)/tree" in n.__file__, n.__file__') && \
-	$(PYTEST) -m core --capture sys -p no:cacheprovider
+	$(PYTEST) -m "core $(SOME)" -k "not plain" --capture sys -p no:cacheprovider
 
 # Would a test fail if the code said something else? MUTANTS in each package and in the C code: hours; 5 for a look.
 mutation: $(VENV)/.installed
@@ -84,10 +85,9 @@ mutation: $(VENV)/.installed
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[mutation]'
 	$(BIN)/python tests/mutation.py --number $(MUTANTS) --json benchmarks/data/mutation.json --resume
 
-# Fresh environments below build/environments: the lowest and the newest versions with all tests, no compiler and the
-# wheel from the source distribution with those of make check, the wheels of a release and each extra alone with
-# tests/installed.py.
-# SOME=--some leaves slow tests out everywhere.
+# Fresh environments below build/environments: the lowest versions, and the newest with a wheel from the source
+# distribution, with all tests; no compiler with those of make check of what the core has a part in; the wheels of a
+# release and each extra alone with tests/installed.py. SOME=--some leaves slow tests out everywhere.
 environments: $(VENV)/.installed
 	$(BIN)/python .ci/environments.py $(SOME)
 

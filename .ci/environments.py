@@ -13,7 +13,7 @@ import resource
 import shutil
 import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -79,9 +79,10 @@ class Environment:
         folder.mkdir(exist_ok=True)
         call(str(self.bin / command[0]), *command[1:], folder=folder, **ONE_THREAD, **variables)
 
-    def pytest(self, *arguments: str, **variables: str) -> None:
-        """Run tests, on all cores."""
-        where = ("-c", str(ROOT / "pyproject.toml"), "--rootdir", str(ROOT), str(ROOT / "tests"))
+    def pytest(self, *arguments: str, folders: Sequence[str] = ("",), **variables: str) -> None:
+        """Run tests, on all cores: all, or those in folders of ``tests``."""
+        tests = (str(ROOT / "tests" / folder) for folder in folders)
+        where = ("-c", str(ROOT / "pyproject.toml"), "--rootdir", str(ROOT), *tests)
         spread = ("-n", os.environ.get("WORKERS", "auto"), "--dist", "worksteal")
         self.run("pytest", *where, *spread, "-p", "no:cacheprovider", *arguments, **variables)
 
@@ -108,11 +109,11 @@ def distribution() -> Path:
     return folder
 
 
-def wheel() -> Path:
-    """The wheel for this Python, from the source distribution; as it is released."""
-    if HERE not in _MADE:
-        _MADE.update(wheels(distribution(), (HERE,), tested=False))
-    return _MADE[HERE]
+def wheel(python: str = HERE) -> Path:
+    """The wheel that is built on a Python, from the source distribution; as it is released."""
+    if python not in _MADE:
+        _MADE.update(wheels(distribution(), (python,), tested=False))
+    return _MADE[python]
 
 
 # -- the environments ----------------------------------------------------------------------------------------------
@@ -120,6 +121,8 @@ def wheel() -> Path:
 _WHEELS = ("--only-binary", ":all:", "--no-binary", "coopqp")
 #: The tests of make check.
 _SOME = ("-m", "not slow", "--hypothesis-profile", "check")
+#: Folders with the tests of what the core has a part in.
+_OF_STEPS = ("native", "model", "control", "constraints", "collision", "forces", "cli", "drivers", "simulation")
 #: Tests that may be skipped without compiled parts: about 40 compare them with their definitions.
 _WITHOUT_KERNELS = "44"
 
@@ -145,8 +148,10 @@ assert (".abi3." in _core.__file__) == (sys.version_info >= (3, 12)), _core.__fi
 
 
 def newest(tests: list[str]) -> None:
-    """The newest version of every dependency, on the newest Python."""
-    made = Environment("newest", NEWEST, ("dev",), ("--upgrade", "--refresh"))
+    """The newest version of every dependency, on the newest Python, with the wheel that is released for it."""
+    stable = ".".join(map(str, STABLE))
+    source = wheel(stable) if python_at_hand(stable) else ROOT
+    made = Environment("newest", NEWEST, ("dev",), ("--upgrade", "--refresh"), source=source)
     made.make()
     made.run("python", "-c", _STABLE)
     made.pytest(*tests)
@@ -164,7 +169,7 @@ def no_compiler(_: list[str]) -> None:
     made = Environment("no-compiler", extras=("dev",), variables=(*broken, ("COOPQP_REQUIRE_KERNEL", "0")))
     made.make()
     made.run("python", str(ROOT / "tests" / "installed.py"), "--kernel", "plain", "all")
-    made.pytest(*_SOME, COOPQP_MOST_SKIPS=_WITHOUT_KERNELS)
+    made.pytest(*_SOME, folders=_OF_STEPS, COOPQP_MOST_SKIPS=_WITHOUT_KERNELS)
 
 
 def release(_: list[str]) -> None:
@@ -183,11 +188,10 @@ def release(_: list[str]) -> None:
 
 
 def from_sdist(_: list[str]) -> None:
-    """The wheel that is built from the source distribution."""
-    made = Environment("from-sdist", extras=("dev",), source=wheel())
+    """The wheel that is built from the source distribution; the tests meet such a one in newest."""
+    made = Environment("from-sdist", extras=("all",), source=wheel())
     made.make()
     made.run("python", str(ROOT / "tests" / "installed.py"), "--kernel", "compiled", "all")
-    made.pytest(*_SOME)
 
 
 def extras(_: list[str]) -> None:

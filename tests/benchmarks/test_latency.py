@@ -12,6 +12,8 @@ import pytest
 
 from coopqp.native import available_kernels
 
+#: Steps of every kind: they track, need a QP, and pass a pole.
+CASES = ("nominal", "qp", "pole")
 CONTRACT = {"case", "kernel", "arms", "p50_us", "p99_us", "p999_us", "max_us", "gc_pause_ms"}
 
 
@@ -20,13 +22,12 @@ def test_latency(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest
     plan = latency.Plan(steps=40, block=20, laps=1, garbage_steps=4000, alive=1000)
     monkeypatch.setattr(latency, "QUICK", plan)
     file, out = tmp_path / "r.json", tmp_path / "out"
-    assert latency.main(["--quick", "--json", str(file), "--out", str(out)]) == 0
+    assert latency.main(["--quick", "--cases", *CASES, "--json", str(file), "--out", str(out)]) == 0
     assert "coopqp kernel:" in capsys.readouterr().out
     records = json.loads(file.read_text())
     assert all(set(r) >= CONTRACT for r in records)
     tails = [r for r in records if r["gc_pause_ms"] is None]
-    names = {*latency.CASES, *(f"null spin: {case}" for case in latency.CASES)}
-    names |= {f"lap: {case}" for case in latency.CASES}
+    names = {name.format(case) for case in CASES for name in ("{}", "null spin: {}", "lap: {}")}
     assert {(r["case"], r["kernel"]) for r in tails} == {(c, k) for c in names for k in available_kernels()}
     for r in tails:
         assert r["steps"] > 500 if r["case"].startswith("lap: ") else r["steps"] == 40
@@ -41,7 +42,7 @@ def test_latency(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest
     assert "## Targets" in text
     assert "pole, compiled: longest step, by itself" in text or "compiled" not in available_kernels()
     figures = {(r["case"], r["kernel"]): r for r in latency.longest(records)}
-    assert set(figures) == {(c, k) for c in latency.CASES for k in available_kernels()}
+    assert set(figures) == {(c, k) for c in CASES for k in available_kernels()}
     for (case, kernel), r in figures.items():
         lap = next(x for x in tails if (x["case"], x["kernel"]) == (f"lap: {case}", kernel))
         assert (r["first_us"], r["longest_us"]) == (lap["first_us"], lap["max_us"])

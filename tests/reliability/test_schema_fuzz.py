@@ -181,7 +181,7 @@ def files(rng: np.random.Generator, part: int, number: int) -> Iterator[tuple[di
             if path[0] == name or rng.uniform() < 0.2:
                 choice = wanted or variants
                 data[name] = copy.deepcopy(choice[int(rng.integers(len(choice)))])
-        values = PLAUSIBLE if rng.uniform() < 0.45 else NONSENSE
+        values = PLAUSIBLE if rng.uniform() < 0.6 else NONSENSE
         put(data, path, copy.deepcopy(values[(7 * (i % len(places)) + turn) % len(values)]))
         for _ in range(int(rng.integers(0, 3)) if rng.uniform() < 0.3 else 0):
             other = places[int(rng.integers(len(places)))]
