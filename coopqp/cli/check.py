@@ -68,9 +68,9 @@ def _run_check(arguments: argparse.Namespace) -> int:
             check = with_remedies(check)
         offer = "" if arguments.quiet else _way_round(task, check, report)
         files = _write(check, arguments.json, picture)
-    overlap = _unjudged(check, task.box)
+    unjudged = _unjudged(task, check)
     if not arguments.quiet:
-        _print(check, overlap, branches=arguments.branches)
+        _print(check, unjudged, branches=arguments.branches)
         if offer:
             print(offer)
         print_written(files, apart=True)
@@ -79,14 +79,17 @@ def _run_check(arguments: argparse.Namespace) -> int:
     return EXIT_STATUS[check.verdict.value]
 
 
-def _unjudged(check: PathCheck, box: Body) -> str:
-    """Where distances play no part: the links and the object that overlap at the start; empty if none do."""
+def _unjudged(task: _Task, check: PathCheck) -> str:
+    """Where distances play no part: why, or the links and the object that overlap at the start; empty if none do."""
     from coopqp.collision.pairs import ignored_line, pairs_said
+    from coopqp.planning.tools_on_object import why_no_scene
     from coopqp.simulation.evaluation.closeness import overlaps
 
+    if task.scene is not None and (why := why_no_scene(task.cell, task.path)):
+        return f"distances: not checked, since {why}; a run measures them"
     if check.scene is not None or check.q_start is None:
         return ""
-    found = overlaps(check.cell, check.grasp, box, check.q_start)
+    found = overlaps(check.cell, check.grasp, task.box, check.q_start)
     if not found:
         return ""
     return (
@@ -160,9 +163,8 @@ def _look(task: _Task, report: Reporter, *, any_start: bool = False) -> PathChec
         report.note(task.note)
     report.note("looking at the arms along the path")
     q_start, scene = None if any_start else task.q_start, task.scene
-    if scene is not None and (why := why_no_scene(task.cell, task.path)):
-        report.note(f"distances are not checked: {why}; a run measures them")
-        scene = None
+    if scene is not None and why_no_scene(task.cell, task.path):
+        scene = None  # :func:`_unjudged` says why
     return check_path(task.cell, task.grasp, task.path, q_start=q_start, scene=scene)
 
 
@@ -172,7 +174,7 @@ def glance_at(name: str, report: Reporter) -> tuple[Glance, str]:
 
     task = _task(name)
     check = _look(task, report)
-    return glance(task.name, check, task.box, task.scene), _unjudged(check, task.box)
+    return glance(task.name, check, task.box, task.scene), _unjudged(task, check)
 
 
 def _write(check: PathCheck, record: Path | None, picture: Path | None) -> list[Path]:
@@ -188,9 +190,9 @@ def _write(check: PathCheck, record: Path | None, picture: Path | None) -> list[
     return write_files(contents)
 
 
-def _print(check: PathCheck, overlap: str, *, branches: bool) -> None:
+def _print(check: PathCheck, unjudged: str, *, branches: bool) -> None:
     print(printable(check.verdict.value))
-    for line in [*check.explain().splitlines(), *overlap.splitlines()]:
+    for line in [*check.explain().splitlines(), *unjudged.splitlines()]:
         print(printable(line))
     if branches:
         for arm in check.arms:

@@ -126,6 +126,9 @@ def stands_at(cell: RobotCell, way: SharedWay) -> str:
     parts = []
     for name, a, b, first, last, slide in zip(names, low, high, way.s[0], way.s[-1], sliding, strict=True):
         unit, size = ("mm", 1e3) if slide else ("°", 180.0 / np.pi)
+        if b - a < 1e-6:
+            parts.append(f"{name} at {size * first:.0f} {unit}")
+            continue
         text = f"{name} from {size * first:.0f} to {size * last:.0f} {unit}"
         if a < min(first, last) - 1e-6 or b > max(first, last) + 1e-6:
             text += f" between {size * a:.0f} and {size * b:.0f} {unit}"

@@ -831,6 +831,11 @@ def test_a_robot_with_two_arms(tmp_path: Path) -> None:
         ),
         ("limits.lift", "limits.lifts", "the model has no joint 'lifts'"),
         (
+            'limits."*" = { acceleration_deg_per_s2 = 300 }\nlimits.lift = {',
+            "limits = {",
+            "robots[0].limits: limits of a robot are by joint",
+        ),
+        (
             'of = "tower"\n',
             'of = "tower"\nstiffness_nm_per_rad = 1e4\n',
             "share 'lift', and joints that arms share are not known",

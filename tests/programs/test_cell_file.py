@@ -250,8 +250,16 @@ def test_a_body_in_the_way_ends_the_check_of_phases(tmp_path: Path, capsys: pyte
     file = written(tmp_path, cell + beam)
     assert main(["check", str(file)]) == 3
     said = capsys.readouterr().out
+    assert "distances: not checked" not in said
     assert "beam come inside their margin" in said
     assert re.search(r"phase \w+ \(.*\): infeasible; .* and beam", said)
+
+
+def test_what_is_not_looked_at_is_said(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """The first arm, whose tool places the object in a scene, waits and holds again: no distances are told."""
+    beam = '\n[[collision.obstacles]]\nname = "beam"\nshape = "sphere"\nradius_m = 0.1\nat = { xyz_m = [0, 0, 5] }\n'
+    assert main(["check", str(written(tmp_path, CELL + beam))]) == 0
+    assert "distances: not checked, since the tool of arm 'master' moves on the object" in capsys.readouterr().out
 
 
 def test_a_whole_program_is_planned_from_its_file_and_runs(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -8,7 +8,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Annotated, Any, Literal, Union
 
 from annotated_types import Ge, Le, Len
-from pydantic import AfterValidator, Field, model_validator
+from pydantic import AfterValidator, Field, field_validator, model_validator
 
 from coopqp.baselines.independent import IndependentQPOptions
 from coopqp.baselines.pseudo_inverse import PseudoInverseOptions
@@ -90,6 +90,14 @@ class RobotTable(Table):
     limits: dict[Name, LimitsTable] = Field(
         default={}, description='limits in place of the model\'s, by joint; "*" for all joints that turn'
     )
+
+    @field_validator("limits", mode="before")
+    @classmethod
+    def _by_joint(cls, value: Any) -> Any:
+        quantities = LimitsTable.model_fields.keys() & value.keys() if isinstance(value, dict) else ()
+        if quantities:
+            raise problem(f"limits of a robot are by joint: give 'limits.\"*\".{min(quantities)}', or a joint's name")
+        return value
 
     @model_validator(mode="after")
     def _one_model(self) -> RobotTable:
