@@ -17,7 +17,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from release import NOTES, ROOT, STABLE, FailedError, call, note, python_at_hand, sdist, uv, wheels
+from release import NOTES, ROOT, SERVED, STABLE, FailedError, call, note, python_at_hand, sdist, uv, wheels
 
 if sys.version_info >= (3, 11):
     import tomllib
@@ -116,9 +116,20 @@ def wheel(python: str = HERE) -> Path:
     return _MADE[python]
 
 
+def released(*versions: str) -> tuple[Path, tuple[str, ...]]:
+    """The wheel for the first of some Pythons that is at hand, or the tree where none can be built for it.
+
+    Returns also the options of ``uv pip install`` with which everything else has to be a wheel.
+    """
+    version = next((v for v in versions if python_at_hand(v)), HERE)
+    builder = next((b for b, served in SERVED.items() if version in served), HERE)
+    if python_at_hand(builder):
+        return wheel(builder), ("--only-binary", ":all:")
+    return ROOT, ("--only-binary", ":all:", "--no-binary", "coopqp")
+
+
 # -- the environments ----------------------------------------------------------------------------------------------
 
-_WHEELS = ("--only-binary", ":all:", "--no-binary", "coopqp")
 #: The tests of make check.
 _SOME = ("-m", "not slow", "--hypothesis-profile", "check")
 #: Folders with the tests of what the core has a part in.
@@ -134,8 +145,9 @@ _OF_PAGES = ("browser/test_site.py", *(f"project/test_{name}.py" for name in ("g
 def lowest(tests: list[str]) -> None:
     """The lowest declared version of every dependency, on the oldest Python."""
     constraint = ROOT / ".ci" / "pinocchio-3.txt"
-    options = (*_WHEELS, "--resolution", "lowest-direct", "--constraints", str(constraint))
-    made = Environment("lowest", OLDEST, ("dev",), options)
+    source, binary = released(*OLDEST)
+    options = (*binary, "--resolution", "lowest-direct", "--constraints", str(constraint))
+    made = Environment("lowest", OLDEST, ("dev",), options, source=source)
     made.make()
     made.pytest(*tests, *(f"--ignore={ROOT / 'tests' / name}" for name in _OF_PAGES))
 
@@ -149,8 +161,7 @@ assert (".abi3." in _core.__file__) == (sys.version_info >= (3, 12)), _core.__fi
 
 def newest(tests: list[str]) -> None:
     """The newest version of every dependency, on the newest Python, with the wheel that is released for it."""
-    stable = ".".join(map(str, STABLE))
-    source = wheel(stable) if python_at_hand(stable) else ROOT
+    source, _ = released(*NEWEST)
     made = Environment("newest", NEWEST, ("dev",), ("--upgrade", "--refresh"), source=source)
     made.make()
     made.run("python", "-c", _STABLE)
