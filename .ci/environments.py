@@ -133,13 +133,13 @@ def released(*versions: str) -> tuple[Path, tuple[str, ...]]:
 #: The tests of make check.
 _SOME = ("-m", "not slow", "--hypothesis-profile", "check")
 #: Folders with the tests of what the core has a part in.
-_OF_STEPS = ("native", "model", "control", "constraints", "collision", "forces", "cli", "drivers", "simulation")
+_OF_STEPS = ("native", "model", "control", "constraints", "collision", "forces", "cli")
 #: Tests that may be skipped without compiled parts: about 40 compare them with their definitions.
 _WITHOUT_KERNELS = "44"
 
 
-#: The site and its pictures are made with the newest versions: with others they would be made once more to no end.
-_OF_PAGES = ("browser/test_site.py", *(f"project/test_{name}.py" for name in ("gallery", "notebooks", "pictures")))
+#: Pages, pictures and benchmarks are made with the versions of the day: with others they would be to no end.
+_OTHERS = tuple(f"--ignore={ROOT / 'tests' / folder}" for folder in ("benchmarks", "browser", "project"))
 
 
 def lowest(tests: list[str]) -> None:
@@ -149,7 +149,7 @@ def lowest(tests: list[str]) -> None:
     options = (*binary, "--resolution", "lowest-direct", "--constraints", str(constraint))
     made = Environment("lowest", OLDEST, ("dev",), options, source=source)
     made.make()
-    made.pytest(*tests, *(f"--ignore={ROOT / 'tests' / name}" for name in _OF_PAGES))
+    made.pytest(*tests, *_OTHERS)
 
 
 _STABLE = """
@@ -165,7 +165,7 @@ def newest(tests: list[str]) -> None:
     made = Environment("newest", NEWEST, ("dev",), ("--upgrade", "--refresh"), source=source)
     made.make()
     made.run("python", "-c", _STABLE)
-    made.pytest(*tests)
+    made.pytest(*tests, *_OTHERS)
 
 
 def no_compiler(_: list[str]) -> None:

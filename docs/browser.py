@@ -23,9 +23,6 @@ from PIL import Image
 from websockets.sync.client import connect
 
 NAMES = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable", "chrome")
-#: A scene is drawn ten times a second, not as often as it can be: without a graphics card each frame costs a processor.
-_FEW_FRAMES = "window.requestAnimationFrame = f => setTimeout(() => f(performance.now()), 100);\
-window.cancelAnimationFrame = clearTimeout;"
 #: Software rendering, so that pages with WebGL draw without a graphics card.
 _FLAGS = (
     "--headless=new",
@@ -74,7 +71,6 @@ class Page:
             self._socket = connect(target["webSocketDebuggerUrl"], max_size=None, open_timeout=30)
             for domain in ("Page", "Runtime", "Log", "Network"):
                 self.call(f"{domain}.enable")
-            self.call("Page.addScriptToEvaluateOnNewDocument", source=_FEW_FRAMES)
             self.call(
                 "Emulation.setDeviceMetricsOverride", width=width, height=height, deviceScaleFactor=1, mobile=False
             )
