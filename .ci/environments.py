@@ -14,6 +14,7 @@ import shutil
 import sys
 import time
 from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -133,7 +134,7 @@ def released(*versions: str) -> tuple[Path, tuple[str, ...]]:
 #: The tests of make check.
 _SOME = ("-m", "not slow", "--hypothesis-profile", "check")
 #: Folders with the tests of what the core has a part in.
-_OF_STEPS = ("native", "model", "control", "constraints", "collision", "forces", "cli")
+_OF_STEPS = ("native", "model", "control", "constraints", "cli")
 #: Tests that may be skipped without compiled parts: about 40 compare them with their definitions.
 _WITHOUT_KERNELS = "44"
 
@@ -207,10 +208,15 @@ def from_sdist(_: list[str]) -> None:
 
 def extras(_: list[str]) -> None:
     """Each extra alone, and all of them."""
-    for extra in (*EXTRAS, "all"):
-        made = Environment(f"extra-{extra}", extras=(extra,), source=wheel())
+    source = wheel()
+
+    def try_one(extra: str) -> None:
+        made = Environment(f"extra-{extra}", extras=(extra,), source=source)
         made.make()
         made.run("python", str(ROOT / "tests" / "installed.py"), "--kernel", "compiled", extra)
+
+    with ThreadPoolExecutor(2) as pool:
+        list(pool.map(try_one, (*EXTRAS, "all")))
 
 
 ENVIRONMENTS: dict[str, Callable[[list[str]], None]] = {

@@ -19,6 +19,7 @@ import sys
 import tempfile
 import time
 from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -91,6 +92,7 @@ def wheels(dist: Path, versions: Sequence[str] = tuple(SERVED), *, tested: bool 
     """Build, repair, audit and test wheels from the source distribution. Returns them by the Python of the build."""
     (source,) = dist.glob("*.tar.gz")
     made: dict[str, Path] = {}
+    served: list[tuple[Path, str]] = []
     for version in versions:
         python = python_at_hand(version)
         if python is None:
@@ -103,8 +105,9 @@ def wheels(dist: Path, versions: Sequence[str] = tuple(SERVED), *, tested: bool 
             (built,) = Path(raw).glob("*.whl")
             made[version] = repair(built, dist)
         print(f"{made[version].name}: built, repaired, audited in {time.monotonic() - began:.0f} s", flush=True)
-        for name in SERVED[version] if tested else ():
-            test(made[version], name)
+        served += [(made[version], name) for name in SERVED[version] if tested]
+    with ThreadPoolExecutor(2) as pool:
+        list(pool.map(lambda one: test(*one), served))
     return made
 
 
