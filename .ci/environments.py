@@ -166,7 +166,7 @@ def newest(tests: list[str]) -> None:
     made = Environment("newest", NEWEST, ("dev",), ("--upgrade", "--refresh"), source=source)
     made.make()
     made.run("python", "-c", _STABLE)
-    made.pytest(*tests, *_OTHERS)
+    made.pytest(*tests, *_OTHERS, folders=_OF_STEPS if tests else ("",))  # make test has the newest versions, too
 
 
 def no_compiler(_: list[str]) -> None:
