@@ -86,7 +86,7 @@ mutation: $(VENV)/.installed
 	$(BIN)/python tests/mutation.py --number $(MUTANTS) --json benchmarks/data/mutation.json --resume
 
 # Fresh environments below build/environments: the lowest versions, and the newest with a wheel from the source
-# distribution, with all tests; no compiler with those of make check of what the core has a part in; the wheels of a
+# distribution, with all tests; no compiler with some of make check; the wheels of a
 # release and each extra alone with tests/installed.py. SOME=--some leaves slow tests out everywhere.
 environments: $(VENV)/.installed
 	$(BIN)/python .ci/environments.py $(SOME)
