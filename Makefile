@@ -35,7 +35,7 @@ check: $(VENV)/.installed
 quick: $(VENV)/.installed
 	HYPOTHESIS_PROFILE=check $(PYTEST) -m "not slow"
 
-# Before every commit: all tests, 15 to 28 minutes on two cores.
+# Before every commit: all tests, about half an hour on two slow cores.
 test: $(VENV)/.installed
 	@mkdir -p out
 	$(PYTEST) --reliability-json=out/reliability.json
@@ -86,8 +86,8 @@ mutation: $(VENV)/.installed
 	$(BIN)/python tests/mutation.py --number $(MUTANTS) --json benchmarks/data/mutation.json --resume
 
 # Fresh environments below build/environments: the lowest versions, and the newest with a wheel from the source
-# distribution, with all tests; no compiler with some of make check; the wheels of a
-# release and each extra alone with tests/installed.py. SOME=--some leaves slow tests out everywhere.
+# distribution, with all tests; no compiler with some of make check; the wheels of a release and each extra alone with
+# tests/installed.py. SOME=--some leaves slow tests out everywhere.
 environments: $(VENV)/.installed
 	$(BIN)/python .ci/environments.py $(SOME)
 

@@ -76,17 +76,26 @@ def _run_check(arguments: argparse.Namespace) -> int:
         print_written(files, apart=True)
     if arguments.quiet and not check.feasible:
         say(check.explain().splitlines()[0])
+    elif arguments.quiet and task.scene is not None and unjudged:
+        say(unjudged)  # what asks for distances gets none: who reads the exit status alone has to know
     return EXIT_STATUS[check.verdict.value]
+
+
+def not_checked(cell: RobotCell, path: ObjectPath) -> str:
+    """Why a check leaves the bodies of a cell file out, as a sentence; empty where it does not."""
+    from coopqp.planning.tools_on_object import why_no_scene
+
+    why = why_no_scene(cell, path)
+    return why and f"distances: not checked, since {why}; a run measures them"
 
 
 def _unjudged(task: _Task, check: PathCheck) -> str:
     """Where distances play no part: why, or the links and the object that overlap at the start; empty if none do."""
     from coopqp.collision.pairs import ignored_line, pairs_said
-    from coopqp.planning.tools_on_object import why_no_scene
     from coopqp.simulation.evaluation.closeness import overlaps
 
-    if task.scene is not None and (why := why_no_scene(task.cell, task.path)):
-        return f"distances: not checked, since {why}; a run measures them"
+    if task.scene is not None and (why := not_checked(task.cell, task.path)):
+        return why
     if check.scene is not None or check.q_start is None:
         return ""
     found = overlaps(check.cell, check.grasp, task.box, check.q_start)
@@ -157,19 +166,18 @@ def _task(name: str) -> _Task:
 
 def _look(task: _Task, report: Reporter, *, any_start: bool = False) -> PathCheck:
     from coopqp.planning import check_path
-    from coopqp.planning.tools_on_object import why_no_scene
 
     if task.note:
         report.note(task.note)
     report.note("looking at the arms along the path")
     q_start, scene = None if any_start else task.q_start, task.scene
-    if scene is not None and why_no_scene(task.cell, task.path):
+    if scene is not None and not_checked(task.cell, task.path):
         scene = None  # :func:`_unjudged` says why
     return check_path(task.cell, task.grasp, task.path, q_start=q_start, scene=scene)
 
 
 def glance_at(name: str, report: Reporter) -> tuple[Glance, str]:
-    """A cell file or a scenario at a glance, and where distances play no part what overlaps at the start."""
+    """A cell file or a scenario at a glance; and where distances play no part, why or what overlaps at the start."""
     from coopqp.visualization.cell_overview import glance
 
     task = _task(name)

@@ -6,7 +6,8 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from coopqp.cli.terminal import print_table, print_written, say
+from coopqp.cli.check import not_checked
+from coopqp.cli.terminal import print_table, print_written
 from coopqp.errors import UndecidedError, UnreachableError, printable
 from coopqp.output import write_files
 
@@ -30,7 +31,6 @@ def run_program(run: CellRun, arguments: argparse.Namespace, share: float, folde
     from coopqp.planning.branch_checks import PathVerdict
     from coopqp.planning.check import check_path
     from coopqp.planning.program_timing import time_program
-    from coopqp.planning.tools_on_object import why_no_scene
     from coopqp.programs.program import Program
 
     for option, given in (
@@ -45,7 +45,7 @@ def run_program(run: CellRun, arguments: argparse.Namespace, share: float, folde
     assert isinstance(program, Program)
     made = time_program(task.cell, task.grasp, program, q_start=task.q_start, share=share)
     optimum = made if share == 1.0 else time_program(task.cell, task.grasp, program, q_start=task.q_start)
-    why = why_no_scene(task.cell, made)
+    why = not_checked(task.cell, made) if run.settings.collision is not None else ""
     scene = run.scene if run.settings.collision is not None and not why else None
     check = check_path(task.cell, task.grasp, made, q_start=task.q_start, scene=scene)
     if not check.feasible:
@@ -56,10 +56,8 @@ def run_program(run: CellRun, arguments: argparse.Namespace, share: float, folde
     if not arguments.quiet:
         _print(made, optimum.duration, program.duration)
         print()
-        for line in (check.verdict.value, *check.explain().splitlines()):
+        for line in (check.verdict.value, *check.explain().splitlines(), *why.splitlines()):
             print(printable(line))
-        if scene is None and run.settings.collision is not None:
-            say(f"distances are not checked: {why}; a run measures them")
         print_written(files, apart=True)
     return _OK
 

@@ -258,8 +258,11 @@ def test_a_body_in_the_way_ends_the_check_of_phases(tmp_path: Path, capsys: pyte
 def test_what_is_not_looked_at_is_said(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """The first arm, whose tool places the object in a scene, waits and holds again: no distances are told."""
     beam = '\n[[collision.obstacles]]\nname = "beam"\nshape = "sphere"\nradius_m = 0.1\nat = { xyz_m = [0, 0, 5] }\n'
-    assert main(["check", str(written(tmp_path, CELL + beam))]) == 0
-    assert "distances: not checked, since the tool of arm 'master' moves on the object" in capsys.readouterr().out
+    file, said = written(tmp_path, CELL + beam), "distances: not checked, since the tool of arm 'master' moves on"
+    assert main(["check", str(file)]) == 0
+    assert said in capsys.readouterr().out
+    assert main(["check", str(file), "--quiet"]) == 0
+    assert said in capsys.readouterr().err
 
 
 def test_a_whole_program_is_planned_from_its_file_and_runs(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
