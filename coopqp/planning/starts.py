@@ -223,6 +223,8 @@ def clear_rows(
     cell: RobotCell, grasp: Grasp, samples: PathSamples, options: Sequence[Sequence[Array]], scene: Bodies
 ) -> tuple[int, ...] | None:
     """Index of one start (n,) per arm, so that all margins are kept; None if there are none. The best come first."""
+    if not all(map(len, options)):
+        return None
     trajectories = []
     for k, (arm, own, X, starts) in enumerate(zip(cell.arms, cell.columns, grasp.T_object_tool, options, strict=True)):
         kinematics = ArmKinematics(arm)

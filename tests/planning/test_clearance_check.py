@@ -18,6 +18,7 @@ from coopqp import (
     Clearance,
     CollisionScene,
     InvalidInputError,
+    LinePath,
     QPController,
     check_path,
     find_start,
@@ -66,6 +67,17 @@ def followed(task: Scenario, samples: int) -> tuple[Any, Any]:
 
 
 # -- the proof -----------------------------------------------------------------------------------------------------
+
+
+def test_a_path_beyond_the_reach_is_infeasible_among_bodies_too() -> None:
+    """From any start no branch is left whose distances could be looked at."""
+    task = plate_and_post()
+    away = task.path.pose(0.0)
+    path = LinePath(away, pin.SE3(away.rotation, away.translation + np.array([0.0, 0.0, 9.0])), duration=5.0)
+    check = checked(replace(task, path=path), start=False)
+    assert check.verdict is INFEASIBLE
+    assert check.clearance is None
+    assert "its reach ends" in check.explain()
 
 
 @pytest.mark.parametrize("seed", slow_unless(lambda seed: seed == 3, range(5)))
