@@ -25,8 +25,6 @@ REASONS: tuple[tuple[str, str, str], ...] = (
     ("A2", "", _ROUNDING),
     ("A3", "", "one target for all rows; several joints outside, and other solvers, need most"),
     ("A4", "", _ROUNDING),
-    ("A6", "NaN", "processors differ by ten times; a step has 10 ms at 100 Hz"),
-    ("A6", "finite but absurd", "a cap on the solver's iterations, not a time: it shows that none hangs"),
     ("A7", "unreachable", "how soon depends on the way in; ten steps are few to an operator"),
     ("A9", "random paths", "one target for all rows; the one joint at its limit needs most"),
     ("B", "5 %", _ROUNDING + ": lost samples change nothing where the encoders are true"),

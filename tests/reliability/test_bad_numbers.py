@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import statistics
 from pathlib import Path
 from typing import Any
 
@@ -28,9 +27,8 @@ def test_bad_numbers_hold_and_are_forgotten(solver: str, catalogue: Any) -> None
     found = ran(solver)
     bad, wild = found["bad"], found["wild"]
     for tally in (bad, wild):
-        assert not tally["raised"], tally["raised"][:5]
-        assert not tally["violations"], tally["violations"][:5]
-        assert not tally["not_going_on"], tally["not_going_on"][:5]
+        for failures in ("raised", "violations", "not_holding", "not_going_on"):
+            assert not tally[failures], tally[failures][:5]
     catalogue.row(
         "A6",
         f"NaN, ±inf in q, dt, target, each QP array; {solver}: not held",
@@ -42,20 +40,10 @@ def test_bad_numbers_hold_and_are_forgotten(solver: str, catalogue: Any) -> None
     )
     catalogue.row(
         "A6",
-        f"NaN, ±inf: thread CPU time of the step; {solver}",
-        cases=bad["cases"],
-        measured=max(bad["cpu_ms"]),
-        target=10.0,
-        unit="ms",
-        note=f"the slowest case, the middle one of three tries; median case {statistics.median(bad['cpu_ms']):.2f} ms, "
-        f"longest try {bad['longest_ms']:.2f} ms",
-    )
-    catalogue.row(
-        "A6",
-        f"finite but absurd numbers (1e-310 … 1e300) in the QP; {solver}",
+        f"finite but absurd numbers (1e-310 … 1e300) in the QP; {solver}: raised, or limits broken",
         cases=wild["cases"],
-        measured=wild["longest_ms"],
-        target=1000.0,
-        unit="ms",
-        note="longest try; no exception, command within the limits",
+        measured=len(wild["raised"]) + len(wild["violations"]),
+        target=0,
+        unit="steps",
+        note="each goes on once the number is gone",
     )
