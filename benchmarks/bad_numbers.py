@@ -32,7 +32,7 @@ def main(argv: list[str] | None = None) -> int:
     print(common.header(description))
     records: list[Record] = []
     for solver in solvers:
-        line = [sys.executable, str(PROGRAM), solver]
+        line = [sys.executable, str(PROGRAM), solver, "3"]
         done = subprocess.run(line, capture_output=True, text=True, timeout=600, check=True)
         for numbers, tally in json.loads(done.stdout.splitlines()[-1]).items():
             times = tally["middle_ms" if numbers == "bad" else "longest_ms"]

@@ -37,8 +37,7 @@ html_theme = "furo"
 html_title = f"coopqp {release}"
 html_static_path = ["static"]
 html_css_files = ["pages.css"]
-GALLERY = Path(__file__).parents[1] / "build" / "gallery"
-html_extra_path = ["llms.txt", str(GALLERY)]  # an overview for language models; the pages in 3D
+html_extra_path = ["llms.txt", str(gallery.BUILT)]  # an overview for language models; the pages in 3D
 
 autodoc_member_order = "bysource"
 autodoc_typehints = "signature"  # shapes and units are in the text
@@ -143,7 +142,7 @@ def _level_of_captions(app, pagename, templatename, context, doctree):
 
 
 def setup(app):
-    gallery.make_scenes(GALLERY)  # those that are up to date stay
+    gallery.make_all()  # those that are up to date stay
     app.add_source_parser(NotebookParser)
     app.connect("source-read", _scenes)
     app.connect("source-read", _before_examples)

@@ -2,11 +2,11 @@
 
     python docs/gallery.py --out FOLDER     draw the thumbnails (python docs/pictures.py puts them in their place)
     python docs/gallery.py --page           write docs/gallery.md, with what `coopqp check` says now
-    python docs/gallery.py --scenes FOLDER  make the pages in 3D; those that are up to date stay (make docs does this)
+    python docs/gallery.py                  make the pages in 3D (make docs does this)
 
-A new cell is one more line in ENTRIES. The pages in 3D are no part of the repository: `docs/conf.py` has them made
-below build/gallery. Viser's program, nine tenths of such a page, stands once beside them all, in viewer.js: also a page
-that is opened from a folder, without a server, loads it from there.
+A new cell is one more line in ENTRIES. A run gives a thumbnail and a page in 3D, which are kept below build; those that
+are up to date stay. The pages in 3D are no part of the repository. Viser's program, nine tenths of such a page, stands
+once beside them all, in viewer.js: also a page that is opened from a folder, without a server, loads it from there.
 """
 
 from __future__ import annotations
@@ -20,6 +20,7 @@ import itertools
 import json
 import os
 import re
+import shutil
 import warnings
 from collections.abc import Iterable, Sequence
 from concurrent.futures import ProcessPoolExecutor
@@ -48,6 +49,9 @@ from coopqp.visualization.viewer import run_page
 
 DOCS = Path(__file__).parent
 PAGE = DOCS / "gallery.md"
+#: What the pages take with them, its pages in 3D below it, and the thumbnails.
+BUILT = DOCS.parent / "build" / "gallery"
+PAGES_3D, THUMBNAILS = BUILT / "3d", BUILT.with_name("gallery_thumbnails")
 #: Width and height of a thumbnail [px], of lines in it, and how many times finer lines are drawn.
 SIZE, LINE, FINER = (640, 400), 3, 3
 _OBJECT, _WAY, _ENDS, _MARKS = (0.20, 0.42, 0.68), "#d1495b", "#4a4f57", "#ffc53d"
@@ -253,13 +257,6 @@ def _arrow_head(draw: ImageDraw.ImageDraw, way: Array, *, size: float = 11.0 * L
     draw.polygon([tuple(c) for c in corners], fill=_WAY)
 
 
-def draw_thumbnails(folder: Path, names: Sequence[str] = ()) -> None:
-    """Write the thumbnails as WebP, below 20 kB each."""
-    for e in ENTRIES:
-        if not names or e.name in names:
-            thumbnail(e).save(folder / f"gallery_{e.name}.webp", quality=60, method=6)
-
-
 # -- the page -------------------------------------------------------------------------------------------------------
 
 
@@ -304,7 +301,7 @@ def verdicts_of_page() -> dict[str, str]:
     return {name: words for words, name in said}
 
 
-# -- pages in 3D ----------------------------------------------------------------------------------------------------
+# -- pages in 3D and thumbnails ---------------------------------------------------------------------------------------
 
 
 def split_viewer(document: str) -> tuple[str, str]:
@@ -337,12 +334,19 @@ def made_with() -> str:
     return digest.hexdigest()
 
 
-def make_scene(name: str, folder: Path) -> None:
-    """Run an entry, and write its page in 3D."""
+def files_of(name: str) -> tuple[Path, Path]:
+    """The page in 3D of an entry, and its thumbnail."""
+    return PAGES_3D / f"{name}.html", THUMBNAILS / f"gallery_{name}.webp"
+
+
+def make(name: str) -> None:
+    """Run an entry; write its page in 3D, and its thumbnail as WebP, below 20 kB."""
     warnings.simplefilter("ignore", StartWarning)  # where an arm starts off its grasp, that is the point
     page, program = split_viewer(run_page(run_of(name)))
-    _write(folder / "viewer.js", program)
-    _write(folder / f"{name}.html", page)
+    in_3d, picture = files_of(name)
+    _write(PAGES_3D / "viewer.js", program)
+    _write(in_3d, page)
+    thumbnail(entry(name)).save(picture, quality=60, method=6)
 
 
 def _write(file: Path, text: str) -> None:
@@ -352,23 +356,24 @@ def _write(file: Path, text: str) -> None:
     beside.replace(file)
 
 
-def make_scenes(folder: Path, names: Sequence[str] = ()) -> list[str]:
-    """Make the pages in 3D in ``folder``/3d that are not up to date. Returns their names.
+def make_all(names: Sequence[str] = ()) -> list[str]:
+    """Make pages in 3D and thumbnails that are not up to date. Returns their names.
 
     A second process that wants the same waits for the first.
     """
-    inside, noted = folder / "3d", folder.with_name(f"{folder.name}.json")
-    inside.mkdir(parents=True, exist_ok=True)
-    with folder.with_name(f"{folder.name}.lock").open("w") as lock:
+    noted = BUILT.with_suffix(".json")
+    for folder in (PAGES_3D, THUMBNAILS):
+        folder.mkdir(parents=True, exist_ok=True)
+    with BUILT.with_suffix(".lock").open("w") as lock:
         fcntl.flock(lock, fcntl.LOCK_EX)
         known = json.loads(noted.read_text(encoding="utf-8")) if noted.is_file() else {}
         wanted = [e.name for e in ENTRIES if not names or e.name in names]
-        stale = [n for n in wanted if known.get(n) != made_with() or not (inside / f"{n}.html").is_file()]
+        stale = [n for n in wanted if known.get(n) != made_with() or not all(f.is_file() for f in files_of(n))]
         with ProcessPoolExecutor(2) as pool:
-            for name, _ in zip(stale, pool.map(make_scene, stale, [inside] * len(stale)), strict=True):
+            for name, _ in zip(stale, pool.map(make, stale), strict=True):
                 known[name] = made_with()
                 _write(noted, json.dumps(known, indent=1))
-        for file in inside.glob("*.html"):
+        for file in PAGES_3D.glob("*.html"):
             if file.stem not in {e.name for e in ENTRIES}:
                 file.unlink()
     return stale
@@ -379,11 +384,11 @@ if __name__ == "__main__":
     parser.add_argument("names", nargs="*", metavar="NAME", help="entries (all)")
     parser.add_argument("--out", type=Path, metavar="FOLDER", help="draw the thumbnails")
     parser.add_argument("--page", action="store_true", help="write docs/gallery.md")
-    parser.add_argument("--scenes", type=Path, metavar="FOLDER", help="make the pages in 3D that are not up to date")
     arguments = parser.parse_args()
-    if arguments.out is not None:
-        draw_thumbnails(arguments.out, arguments.names)
     if arguments.page:
         PAGE.write_text(page_text({e.name: verdict(e) for e in ENTRIES}), encoding="utf-8")
-    if arguments.scenes is not None:
-        print("\n".join(make_scenes(arguments.scenes, arguments.names)))
+    if arguments.out is not None or not arguments.page:
+        print("\n".join(make_all(arguments.names)))
+    if arguments.out is not None:
+        for name in arguments.names or [e.name for e in ENTRIES]:
+            shutil.copy(files_of(name)[1], arguments.out)

@@ -476,7 +476,8 @@ def test_nonsense_at_the_start_is_a_named_error(name: str, kernel: str) -> None:
 def test_any_nonsense_in_motion_holds_by_name_until_it_ends(acceleration: float, kernel: str) -> None:
     task = limited(paper_lift(time_law="quintic", duration=1.0), acceleration)
     in_motion: dict[type, tuple[QPController, ControlStep]] = {}
-    for name in NONSENSE:
+    turn = slice(None) if kernel == "compiled" else slice(int(np.isinf(acceleration)), None, 2)  # half for each
+    for name in NONSENSE[turn]:
         good = nonsense(name, task.cell.nv)
         if type(good) not in in_motion:
             controller = built(task, kernel, dt=DT, constraints=[Box(task.grasp, (-FAR,) * 3, (FAR,) * 3), good])

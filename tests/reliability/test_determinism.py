@@ -26,7 +26,7 @@ def ran(solver: str, steps: int, file: Path, seed: int) -> tuple[int, str]:
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    ("solver", "steps", "target"), [("auto", 100_000, 0.0), ("daqp", 100_000, 0.0), ("proxqp", 20_000, 1e-10)]
+    ("solver", "steps", "target"), [("auto", 50_000, 0.0), ("daqp", 50_000, 0.0), ("proxqp", 10_000, 1e-10)]
 )
 def test_another_process_commands_the_same(
     solver: str, steps: int, target: float, count: Callable[[int], int], catalogue: Any, tmp_path: Path

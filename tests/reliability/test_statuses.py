@@ -136,7 +136,7 @@ def wild(seed: int, kernel: str, tally: Tally, *, jitter: bool) -> None:
 @pytest.mark.parametrize("kernel", KERNELS)
 def test_no_step_says_what_is_not_so(kernel: str, catalogue: Any, count: Any) -> None:
     tally = Tally()
-    for seed in range(count(60 if kernel == "compiled" else 30)):
+    for seed in range(count(60 if kernel == "compiled" else 15)):
         wild(seed, kernel, tally, jitter=False)
     assert tally.seen >= {Status.TRACKING, Status.SLOWED, Status.BLOCKED, Status.PAUSED, Status.OFF_PATH}
     name = f"paths, targets and overrides at random, {kernel}"
@@ -153,7 +153,7 @@ def test_no_step_says_what_is_not_so(kernel: str, catalogue: Any, count: Any) ->
 @pytest.mark.parametrize("kernel", KERNELS)
 def test_any_length_of_a_step_has_a_name_for_every_stop(kernel: str, catalogue: Any, count: Any) -> None:
     tally = Tally()
-    for seed in range(count(60 if kernel == "compiled" else 30)):
+    for seed in range(count(60 if kernel == "compiled" else 15)):
         wild(1000 + seed, kernel, tally, jitter=True)
     wrong = tally.nameless + tally.outside + tally.untrue
     name = f"dt of 0.1 to 100 ms, a third of the steps of 0.1 to 4.9 dt, {kernel}: a limit, a false status, no name"
@@ -195,7 +195,7 @@ def said_at_reset(controller: QPController, q: Array) -> str:
 def test_a_start_off_the_grasp_or_the_path_is_said(kernel: str, catalogue: Any, count: Any) -> None:
     """By 0.1 mm to the tolerance; the words end when the arms are where they should be."""
     rng, silent, cases, wrong = np.random.default_rng(3), 0, 0, 0
-    while cases < count(30 if kernel == "compiled" else 15):
+    while cases < count(30 if kernel == "compiled" else 8):
         task = limited_once(MAKES[cases % 4], float(rng.choice([np.inf, 10.0])))
         controller = QPController(task.cell, task.grasp, task.path, dt=0.005, options=QPOptions(kernel=kernel))
         q = task.cell.moved(task.q_start, 10.0 ** rng.uniform(-4.0, -2.0) * rng.standard_normal(task.cell.nv))

@@ -1,8 +1,8 @@
 """Steps of one solver's controllers on invalid numbers; prints the results as JSON.
 
-``python bad_numbers.py SOLVER`` runs in a separate process, which the caller can end if a solver hangs.
+``python bad_numbers.py SOLVER [TRIES]`` runs in a separate process, which the caller can end if a solver hangs.
 
-Every case is tried three times. A sound step follows each bad step and has to continue the motion.
+A sound step follows each bad step and has to continue the motion. Times of several tries are more certain.
 """
 
 from __future__ import annotations
@@ -32,7 +32,6 @@ ABSENT = {("u", "+inf"), ("ub", "+inf"), ("l", "-inf"), ("lb", "-inf")}
 ELSEWHERE = {"A": "C", "b": "u", "C": "A", "l": "lb", "u": "ub"}
 #: Arrays without entries.
 EMPTY = {"condensed": ("A", "b"), "full": ("C", "l", "u")}
-TRIES = 3
 
 
 @dataclass
@@ -47,11 +46,12 @@ class Tally:
     #: CPU time of the thread, for benchmarks/bad_numbers.py: the middle and the longest of the tries of each case.
     middle_ms: dict[str, float] = field(default_factory=dict)
     longest_ms: dict[str, float] = field(default_factory=dict)
+    tries: int = 1
 
     def timed(self, case: str, tries_ms: list[float]) -> None:
         """Keep the times of one case; a name may come again, then the longer ones stay."""
         self.middle_ms[case] = max(statistics.median(tries_ms), self.middle_ms.get(case, 0.0))
-        self.longest_ms[case] = max(*tries_ms, self.longest_ms.get(case, 0.0))
+        self.longest_ms[case] = max(max(tries_ms), self.longest_ms.get(case, 0.0))
 
 
 class Poison(QpSolver):
@@ -140,7 +140,7 @@ def tried(
     """Run one case: bad steps, each followed by a sound one."""
     tally.cases += 1
     took = []
-    for _ in range(TRIES):
+    for _ in range(tally.tries):
         try:
             step, seconds = bad()
         except Exception as error:  # any exception is a failure
@@ -215,7 +215,7 @@ def target_cases(solver: str, tally: Tally) -> None:
             T.flat[i] = value
             tally.cases += 1
             took = []
-            for _ in range(TRIES):
+            for _ in range(tally.tries):
                 began = time.thread_time()
                 try:
                     one.controller.retarget(T)
@@ -245,8 +245,8 @@ def target_cases(solver: str, tally: Tally) -> None:
                 tried(tally, f"{scenario.name} path {label}, kernel {kernel}", bad, one.step)
 
 
-def main(solver: str) -> None:
-    bad, wild = Tally(), Tally()
+def main(solver: str, tries: int = 1) -> None:
+    bad, wild = Tally(tries=tries), Tally(tries=tries)
     qp_cases(solver, BAD, bad, holds=True)
     input_cases(solver, bad)
     target_cases(solver, bad)
@@ -256,4 +256,4 @@ def main(solver: str) -> None:
 
 
 if __name__ == "__main__":
-    main(sys.argv[1])
+    main(sys.argv[1], *map(int, sys.argv[2:]))
