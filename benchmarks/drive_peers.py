@@ -23,7 +23,7 @@ import numpy as np
 import pinocchio as pin
 from drive_cases import CELL, DT, LIFT, Row
 
-from coopqp import Grasp, LinePath, QPController, RobotCell, WaypointPath
+from coopqp import Grasp, LinePath, QPController, RobotCell, WaypointPath, simulate
 from coopqp.drivers import Command, ControlLoop, FrankaDriver, LoopOptions, Ros2Driver, SimDriver, UrDriver
 from coopqp.drivers.bag_recorder import BagRecorder
 from coopqp.drivers.led_loop import ShownRecorder
@@ -58,9 +58,11 @@ def _node(script: Path, settings: dict[str, Any]) -> Iterator[subprocess.Popen[s
         **os.environ, "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST", "RMW_IMPLEMENTATION": "rmw_fastrtps_cpp"
     }  # fmt: skip
     process = subprocess.Popen(
-        [ROS, str(script), json.dumps(settings)], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True,
+        [ROS, "-O", str(script), json.dumps(settings)], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True,
         env=variables,
     )  # fmt: skip
+    with contextlib.suppress(PermissionError):  # as a robot's own controllers run
+        os.sched_setscheduler(process.pid, os.SCHED_FIFO, os.sched_param(40))
     try:
         assert process.stdout is not None
         assert process.stdout.readline().startswith("ready")
@@ -210,7 +212,6 @@ def real_time() -> Iterator[Row]:
 
 def late(number: int = 6) -> Iterator[Row]:
     """Periods that begin half a period late: bare, and with a bag and the operator's page."""
-    from coopqp.simulation.simulate import RunRecorder
     from coopqp.visualization.jog.link import PageLink
 
     bare = _on_sim(None, number=number)
@@ -219,7 +220,8 @@ def late(number: int = 6) -> Iterator[Row]:
         shown = ShownRecorder(bag)
 
         def lead(loop: ControlLoop) -> PageLink:
-            start = RunRecorder(loop.controller, LIFT.q_start).recording({"scenario": "lift", "object": None})
+            still = QPController(CELL, LIFT.grasp, LIFT.path, dt=DT)
+            start = simulate(still, q_start=LIFT.q_start, duration=DT, metadata={"scenario": "lift", "object": None})
             link = PageLink(_Watched(loop), start, port=0, sticks=True)
             shown.shows.append(link.observe)
             return link
