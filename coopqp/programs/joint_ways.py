@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import pinocchio as pin
@@ -14,10 +14,8 @@ from coopqp.model.arm import Arm
 from coopqp.model.batch import ArmKinematics
 from coopqp.model.branches import amount
 from coopqp.paths.joint_path import JointPath, JointPiece
+from coopqp.paths.path import ObjectPath
 from coopqp.spatial import Array
-
-if TYPE_CHECKING:
-    from coopqp.programs.program import Program
 
 #: A way may begin this far from where the tool is [m, rad]; it is led there exactly.
 _NEAR = 1e-3
@@ -26,7 +24,7 @@ _AT_LIMIT = 1e-9
 
 
 def joint_piece(
-    program: Program, arm: Arm, path: JointPath, X: pin.SE3, before: pin.SE3, start: float, where: str
+    program: ObjectPath, arm: Arm, path: JointPath, X: pin.SE3, before: pin.SE3, start: float, where: str
 ) -> JointPiece:
     """The part of a program on which an arm follows its joints.
 
@@ -73,7 +71,7 @@ def joint_piece(
 class _Moved:
     """M of a tool that joints lead, at a clock of the program."""
 
-    program: Program
+    program: ObjectPath
     arm: Arm
     way: JointPath
     back: pin.SE3

@@ -112,6 +112,10 @@ def test_it_counts_this_package(tmp_path: Path, capsys: pytest.CaptureFixture[st
         == found["native lines"]
     )
     assert count.core_constants(count.ROOT) == {k: v for k, v in vars(constants).items() if k.isupper()}
+    assert not found["constants twice"]
+    assert found["names at the top"] <= 50
+    assert not found["imports upwards"]
+    assert not found["circles"]
 
 
 def test_each_file_of_the_glue_is_there() -> None:
