@@ -276,7 +276,10 @@ def _drive(
         if missing:
             say("recording:", f"{missing} periods are missing: {why}")
         print_written([arguments.record], quiet=arguments.quiet)
+    elif recorder is not None and not recorder.steps:
+        say("recording:", "no step was made, and nothing is written")
     elif recorder is not None:
+        arguments.record.parent.mkdir(parents=True, exist_ok=True)
         recorder.recording({"scenario": run.scenario.name}).save(arguments.record)
         print_written([arguments.record], quiet=arguments.quiet)
     if seen:
@@ -302,10 +305,12 @@ def _bounded(run: CellRun) -> tuple[Any, str]:
     if not all(math.isfinite(a) for a in s.cell.limits.acceleration):
         return made(), ""  # it is refused
     bound = StallBound(_STALL, dt=s.dt)
-    free, kept = (float(simulate(c, q_start=s.q_start).time[-1]) for c in (made(), made(bound)))
+    stall = f"a stall parts the arms by {1e3 * _STALL:.0f} mm at most"
+    free, kept = (simulate(c, q_start=s.q_start) for c in (made(), made(bound)))
+    if not (free.finished and kept.finished):  # as at a gate that nobody opens here
+        return made(bound), stall
     return made(bound), (
-        f"so that a stall parts the arms by {1e3 * _STALL:.0f} mm at most, the path takes {kept:.2f} s at full speed "
-        f"in place of {free:.2f} s"
+        f"so that {stall}, the path takes {kept.time[-1]:.2f} s at full speed in place of {free.time[-1]:.2f} s"
     )
 
 

@@ -84,7 +84,7 @@ def run_jog(arguments: argparse.Namespace) -> int:
 
 def _judged(run: Recording, arguments: argparse.Namespace) -> int:
     """Print what happened and whether limits, chain and path were kept, and write the recording."""
-    from coopqp.simulation.evaluation.assessment import evaluate
+    from coopqp.simulation.evaluation.assessment import ARRIVALS, evaluate
     from coopqp.simulation.evaluation.readings import read_run
 
     if not arguments.quiet:
@@ -92,7 +92,7 @@ def _judged(run: Recording, arguments: argparse.Namespace) -> int:
             step, _, text = note.partition(": ")
             print(f"{run.time[int(step)]:8.3f} s, clock {run.clock[int(step)]:.3f} s: {text}")
     cell = run.cell(shapes=False)
-    findings = evaluate(cell, run, read_run(cell, run))[1:]  # all but whether it arrived
+    findings = [f for f in evaluate(cell, run, read_run(cell, run)) if f.question not in ARRIVALS]
     for finding in findings:
         if not finding.holds or not arguments.quiet:
             print(f"{'yes' if finding.holds else 'NO '}  {finding.question} {finding.answer}")

@@ -158,14 +158,12 @@ def _arm(choice: Choice, tell: Callable[[str], None]) -> Arm:
     frame, locked = choice.guess.tool_frame, choice.guess.locked or None
     if choice.robot:
         return robot_arm(choice.robot, name=choice.name, tool_frame=frame)
-    for geometry in (True, False):
-        try:
-            return Arm.from_urdf(choice.name, choice.file, tool_frame=frame, geometry=geometry, locked_joints=locked)
-        except ModelError as error:
-            if not geometry:
-                raise
-            tell(f"arm {choice.name} is read without its shapes: {error}")
-    raise AssertionError
+    try:
+        return Arm.from_urdf(choice.name, choice.file, tool_frame=frame, locked_joints=locked)
+    except ModelError as error:  # of its meshes, if it can be read without them
+        arm = Arm.from_urdf(choice.name, choice.file, tool_frame=frame, geometry=False, locked_joints=locked)
+        tell(f"arm {choice.name} is read without its shapes, with which nothing is checked: {error}")
+        return arm
 
 
 def _guessed(choice: Choice) -> str:

@@ -59,7 +59,7 @@ def draft_text(
             "",
             "[[arms]]",
             f"name = {toml_value(choice.name)}",
-            *_model_lines(choice, into),
+            *_model_lines(choice, arm, into),
             f"base = {{ xyz_m = {_list(own.base_xyz)}{turned} }} # found; where does yours stand?",
         ]
         if not (choice.robot and ROBOTS[choice.robot].acceleration):
@@ -95,7 +95,7 @@ def draft_text(
     return "\n".join(lines)
 
 
-def _model_lines(choice: Choice, into: Path) -> list[str]:
+def _model_lines(choice: Choice, arm: Arm, into: Path) -> list[str]:
     """The lines that name the robot, its tool frame and its locked fingers."""
     guess = choice.guess
     others = printable(f", or: {', '.join(guess.others)}") if guess.others else ""
@@ -108,6 +108,8 @@ def _model_lines(choice: Choice, into: Path) -> list[str]:
     if guess.locked:
         fingers = ", ".join(f"{toml_key(joint)} = {at:g}" for joint, at in guess.locked.items())
         lines.append(f"locked_joints_rad = {{ {fingers} }} # fingers; sliding ones in metres")
+    if arm.visual is None and arm.collision is None:
+        lines.append("geometry = false # its meshes cannot be read: nothing of this arm is looked at for distances")
     return lines
 
 

@@ -28,7 +28,7 @@ from coopqp.model.cell import RobotCell
 from coopqp.model.grasp import Grasp
 from coopqp.model.shapes import Body, Box, NearPair
 from coopqp.paths.scenario import Scenario
-from coopqp.planning.clearance_check import ClearanceCheck
+from coopqp.planning.clearance_check import NO_SHAPES, ClearanceCheck
 from coopqp.planning.joint_trajectories import CellTrajectory
 from coopqp.planning.route.edges import EdgeLimits, Edges
 from coopqp.spatial import Array, as_placement
@@ -278,8 +278,16 @@ def _build(scene: CollisionScene) -> BuiltScene:
         np.array(levers) * (1.0 + _MORE),
         tuple(scene.moving),
         tuple(i for i, part in enumerate(parts) if part.moving),
-        shapes.notes,
+        {**_without_shapes(scene.cell, parts), **shapes.notes},
     )
+
+
+def _without_shapes(cell: RobotCell, parts: Sequence[Part]) -> dict[str, str]:
+    """Remarks on arms of which nothing is there to keep a distance from."""
+    if cell.groups:
+        return {}
+    there = {cell.arm_of_joint(cell.model.joints[p.joint].idx_v) for p in parts if p.joint and not p.object}
+    return {name: f"arm {name} {NO_SHAPES}" for k, name in enumerate(cell.arm_names) if k not in there}
 
 
 def _check_names(scene: CollisionScene, parts: Sequence[Part]) -> None:

@@ -326,7 +326,13 @@ class QPController(OperatorCalls):
         self.operate("set_override", share, set_it)
 
     def lower_rate(self, share: float) -> None:
-        """The largest rate σ that forces allow, in the thread that steps; it is no call of an operator."""
+        """The largest rate σ that forces allow, in the thread that steps; it is no call of an operator.
+
+        Raises:
+            InvalidInputError: not a number from 0 to 1; the old one stays.
+        """
+        if not (type(share) is float and 0.0 <= share <= 1.0):
+            share = as_scalar(share, "lower_rate: share", open_low=False, high=1.0)
         self._operator.override = share
 
     @property

@@ -14,6 +14,7 @@ import select
 import socket
 import subprocess
 import sys
+import time
 from collections.abc import Mapping, Sequence
 from typing import Any, Literal, final
 
@@ -22,6 +23,8 @@ from coopqp.drivers.packets import ERROR, pack_command, pack_order, unpack_state
 
 #: A robot stops when its process has got no command for this time, after the first one [s].
 _SILENCE = 0.2
+#: How often a process that starts is asked whether it has ended [s].
+_ASKED_EVERY = 0.1
 
 
 @final
@@ -57,10 +60,15 @@ class ProcessLink:
         settings = json.dumps({**self._settings, "silence": _SILENCE, "port": self._link.getsockname()[1]})
         # It does nothing that a threaded BLAS would help with.
         environment = {**os.environ, "OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
-        self._process = subprocess.Popen([sys.executable, "-m", self._module, settings], env=environment)
-        if not select.select([self._link], [], [], longest)[0]:
-            self.close()
-            raise DriverError("its process does not start. Look at what it printed.")
+        # A session of its own: Ctrl-C in a terminal reaches the loop alone, which brakes all arms together.
+        self._process = subprocess.Popen(
+            [sys.executable, "-m", self._module, settings], env=environment, start_new_session=True
+        )
+        until = time.monotonic() + longest
+        while not select.select([self._link], [], [], _ASKED_EVERY)[0]:
+            if self._process.poll() is not None or time.monotonic() > until:
+                self.close()
+                raise DriverError("its process does not start. Look at what it printed.")
         packet = self._link.recv(65536, socket.MSG_PEEK)
         if packet[:1] == ERROR:
             self.close()

@@ -24,6 +24,11 @@ class MemoryRecorder:
         self._controller = controller
         self._periods: list[tuple[float, Array, Array, ControlStep, float]] = []
 
+    @property
+    def steps(self) -> int:
+        """How many steps the recording would have: one less than periods."""
+        return max(0, len(self._periods) - 1)
+
     def take(self, moment: float, measured: Array, sent: Array, step: ControlStep, clock: float) -> None:
         """One period."""
         self._periods.append((moment, measured.copy(), sent.copy(), step, clock))

@@ -36,6 +36,8 @@ class SimOptions:
         keep_scalars(self, "period", high=1.0)
         keep_scalars(self, "lag", "delay", "latency", "jitter", high=1.0, open_low=False)
         keep_scalars(self, "loss", high=0.9, open_low=False)
+        if not (isinstance(self.seed, int) and self.seed >= 0):
+            raise InvalidInputError(f"{self.seed!r} is no whole number ≥ 0", "SimOptions: seed", "Give one.")
 
 
 @final

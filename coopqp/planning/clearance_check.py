@@ -16,6 +16,9 @@ from coopqp.planning.branch_checks import PathVerdict
 from coopqp.planning.joint_trajectories import CellTrajectory
 from coopqp.spatial import Array
 
+#: What a remark says of an arm that no distance is kept from.
+NO_SHAPES = "has no shapes: nothing keeps a distance from it"
+
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class ClearanceCheck:
@@ -74,7 +77,8 @@ class ClearanceCheck:
             if overlap:
                 return f"{text}{self._so}."
         if self.pair.distance <= 0.0:
-            return f"{text}; {self.pair.first} and {self.pair.second} touch at {self.clock:.2f} s{self._so}."
+            deep = f"overlap by {_mm(-self.pair.distance)}" if self.pair.distance < 0.0 else "touch"
+            return f"{text}; {self.pair.first} and {self.pair.second} {deep} at {self.clock:.2f} s{self._so}."
         return f"{text}; closest {closest}{self._so}."
 
     @property
@@ -147,9 +151,10 @@ def check_scene(cell: RobotCell, scene: Bodies | None, where: str) -> None:
 
 
 def remark(notes: Sequence[str]) -> list[str]:
-    """The first of some remarks, and how many there are besides; empty without any."""
-    more = len(notes) - 1
-    return [f"{notes[0]}, and {more} more of the kind" if more else notes[0]] if notes else []
+    """Remarks on arms without shapes; of others the first, and how many there are besides."""
+    alone, others = ([n for n in notes if n.endswith(NO_SHAPES) is kind] for kind in (True, False))
+    more = len(others) - 1
+    return [*alone, *([f"{others[0]}, and {more} more of the kind" if more else others[0]] if others else [])]
 
 
 def _mm(distance: float) -> str:

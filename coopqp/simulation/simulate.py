@@ -16,6 +16,7 @@ from coopqp.model.cell import RobotCell
 from coopqp.model.limits import BindingLimit
 from coopqp.paths.moving_grasps import refuse_motion
 from coopqp.paths.path import ObjectPath
+from coopqp.paths.shifted import ShiftedPath
 from coopqp.programs.program import Program
 from coopqp.simulation.plants.kinematic import KinematicPlant, Plant
 from coopqp.simulation.recording.notes import Notes
@@ -182,7 +183,9 @@ def _stands(step: ControlStep) -> bool:
 
 
 def _phases_of(path: ObjectPath) -> list[dict[str, Any]]:
-    """The phases of a program as plain data; none for other paths."""
+    """The phases of a program as plain data, also of one that an operator has shifted; none for other paths."""
+    while isinstance(path, ShiftedPath):
+        path = path.path
     return path.record() if isinstance(path, Program) else []
 
 

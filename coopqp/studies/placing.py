@@ -383,6 +383,8 @@ class _MovedDistances:
 
     def least(self, bases: Sequence[pin.SE3], way: Array) -> tuple[float, tuple[str, str], int]:
         """Least distance [m] along a way (K, nv), between which bodies, and at which sample of the way."""
+        if not self.labels:  # no arm has shapes
+            return np.inf, ("", ""), 0
         moves = [base * arm.T_world_base.inverse() for base, arm in zip(bases, self.cell.arms, strict=True)]
         for joint, arm, placement in self.roots:
             self.model.jointPlacements[joint] = moves[arm] * placement

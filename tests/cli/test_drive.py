@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import signal
 import subprocess
 import sys
@@ -93,15 +94,19 @@ def test_bad_input_is_refused_before_anything_is_started(quick, capsys, tmp_path
     assert "arm 'right' has no driver" in capsys.readouterr().err
 
 
-def test_ctrl_c_brakes_and_ends_with_130():
+def test_ctrl_c_in_a_terminal_brakes_together_and_ends_with_130(quick, tmp_path):
+    """A terminal signals the whole group of processes; robots whose processes die of it would stop each by itself."""
+    record = tmp_path / "new" / "run.npz"
     with subprocess.Popen(
         [sys.executable, "-u", "-c", "import sys; from coopqp.cli.start import main; sys.exit(main())", "drive",
-         str(TWO), "--enable", "two_robots"],
-        stdout=subprocess.PIPE, text=True,
+         str(TWO), "--enable", "two_robots", "--record", str(record)],
+        stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, start_new_session=True,
     ) as run:  # fmt: skip
         line = run.stdout.readline()
         assert "the path takes" in line
-        run.send_signal(signal.SIGINT)
-        rest = run.stdout.read()
+        os.killpg(run.pid, signal.SIGINT)
+        rest, errors = run.stdout.read(), run.stderr.read()
     assert run.returncode == 130
     assert "interrupted" in rest
+    assert "Traceback" not in errors
+    assert "no step was made" in errors or not Recording.load(record).finished

@@ -68,6 +68,20 @@ def test_files_of_ones_own_are_named_relative_to_the_cell(capsys: pytest.Capture
 
 
 @pytest.mark.slow
+def test_an_arm_whose_meshes_cannot_be_read_is_drafted_without_shapes(capsys: pytest.CaptureFixture[str]) -> None:
+    """Nothing keeps a distance from it, which the check says."""
+    mesh = '<collision><geometry><mesh filename="package://nowhere/link.stl"/></geometry></collision></link>'
+    text = urdf("gantry").replace("</link>", mesh)
+    assert text.count(mesh) > 3
+    Path("gantry.urdf").write_text(text, encoding="utf-8")
+    assert cli.main(["new", "own", "--arm", "gantry.urdf", "--arm", "gantry.urdf"]) == 0
+    assert [arm["geometry"] for arm in read_tables(Path("own.toml"))["arms"]] == [False, False]
+    assert "read without its shapes" in capsys.readouterr().err
+    assert cli.main(["check", "own.toml"]) == 0
+    assert "arm gantry_1 has no shapes: nothing keeps a distance from it" in capsys.readouterr().out
+
+
+@pytest.mark.slow
 def test_names_of_a_strangers_file_stay_names() -> None:
     """A name with a line break is no line of the cell file, nor one with letters that TOML's plain keys lack a key."""
     evil = "x&#10;[output]&#10;folder = &quot;/tmp&quot;"

@@ -591,6 +591,8 @@ def test_the_verdict_says_where_it_was_closest(avoided: bool) -> None:
     nearest = int(np.argmin(entry["distances_m"]))
     assert sorted(entry["pairs"][nearest]) == sorted(entry["between"])
     assert len(entry["pairs"]) == len(entry["times_s"])
+    if not avoided:  # since when it has touched, by coal along the path: 2.13 s
+        assert entry["time_s"] == pytest.approx(2.13, abs=0.02)
 
 
 # -- bad scenes ----------------------------------------------------------------------------------------------------

@@ -204,6 +204,11 @@ def test_the_reins_hold_before_and_after_a_reset_and_a_new_path(kernel: str) -> 
         controller = QPController(task.cell, task.grasp, task.path, dt=0.002, options=QPOptions(kernel=kernel))
         controller.pause()
         controller.set_override(0.5)
+        for bad in (np.nan, -0.1, 1.5, "x"):
+            with pytest.raises(InvalidInputError):
+                controller.set_override(bad)
+            with pytest.raises(InvalidInputError):
+                controller.lower_rate(bad)
         assert copy.copy(controller).paused
         controller.reset(task.q_start)
         assert {controller.step().status for _ in range(20)} == {Status.PAUSED}

@@ -68,7 +68,7 @@ def test_a_robot_goes_where_it_is_sent_stops_and_says_so(robot):
 
 
 def test_bad_settings_are_refused():
-    for bad in ({"loss": 1.0}, {"lag": -1.0}, {"period": 0.0}):
+    for bad in ({"loss": 1.0}, {"lag": -1.0}, {"period": 0.0}, {"seed": -5}, {"seed": 0.5}):
         with pytest.raises(InvalidInputError):
             SimOptions(**bad)
 

@@ -22,6 +22,7 @@ from coopqp.planning.tools_on_object import ToolPiece
 from coopqp.programs import Phase, Program, Slides, Turns, Works
 from coopqp.scenarios import paper_lift
 from coopqp.simulation import Monitor, check_run, read_run, simulate
+from coopqp.simulation.simulate import RunRecorder
 
 KERNELS = available_kernels()
 both = pytest.mark.parametrize("kernel", slow_but_first(KERNELS))
@@ -215,6 +216,17 @@ def test_a_run_on_which_tools_move_is_recorded_and_judged() -> None:
     placed = program.grasp_at(task.grasp, 3.0).T_object_tool
     for X, Y in zip(recording.grasps_at(300), placed, strict=True):
         assert np.allclose(X.homogeneous, Y.homogeneous, atol=1e-9)
+
+
+def test_a_program_that_an_operator_shifts_is_recorded_as_one() -> None:
+    task, program = pliers()
+    controller = QPController(task.cell, task.grasp, program, dt=0.01)
+    controller.reset(task.q_start)
+    recorder = RunRecorder(controller, task.q_start)
+    recorder.take(controller.step(), task.q_start)
+    controller.shift_path(pin.SE3(np.eye(3), np.array([0.0, 0.0, 0.01])))
+    recorder.take(controller.step(), task.q_start)
+    assert recorder.recording({}).metadata["phases"] == program.record()
 
 
 def test_a_tool_that_works_on_a_carried_part_stays_on_it() -> None:

@@ -68,6 +68,10 @@ class Tolerances:
             raise RecordingError(f"'verdict' in the recording's settings is damaged ({error}).") from error
 
 
+#: Questions on how far a run came, which is an operator's affair.
+ARRIVALS = ("Did the object arrive?", "Did all phases end?")
+
+
 @dataclass(frozen=True)
 class Finding:
     """One line of a verdict.
@@ -144,14 +148,14 @@ def _phases(recording: Recording) -> tuple[Finding, ...]:
             continue
         moved, waited = (float(steps[there & part].sum()) for part in (~waits, waits))
         texts.append(f"{name} {moved:.3g} s" + f", then waiting {waited:.3g} s" * (waited > 0.0))
-    return (Finding("Did all phases end?", bool(recording.finished), "; ".join(texts)),)
+    return (Finding(ARRIVALS[1], bool(recording.finished), "; ".join(texts)),)
 
 
 _STOPPED = (Status.BLOCKED, Status.HOLDING, Status.FAULT)
 
 
 def _finished(recording: Recording) -> Finding:
-    question = "Did the object arrive?"
+    question = ARRIVALS[0]
     end = float(recording.metadata.get("duration", math.nan))
     took = f"{recording.time[-1]:.4g} s" + (f" for a path of {end:.4g} s" if math.isfinite(end) else "")
     begun, ended = ramps(recording)

@@ -323,10 +323,12 @@ def with_clearance(recording: Recording, scene: CollisionScene | None, *, avoide
         return replace(recording, metadata={**recording.metadata, "clearance": entry}) if left_out else recording
     rows = np.unique(np.linspace(0, len(q) - 1, MOST_SAMPLES).round().astype(int))
     distances, points, pairs = _nearest(scene, closeness, q[rows], closeness.pairs_without(left_out))
+    touching = np.flatnonzero(np.array(distances) <= 0.0)
+    since = touching[0] if len(touching) else -1  # of what has touched, when and where it began
     entry |= {
         "closest_m": found.pair.distance,
-        "between": [found.pair.first, found.pair.second],
-        "time_s": found.time,
+        "between": [found.pair.first, found.pair.second] if since < 0 else list(pairs[since]),
+        "time_s": found.time if since < 0 else float(time[rows[since]]),
         "margin_m": found.margin,
         "times_s": time[rows].tolist(),
         "distances_m": distances,
