@@ -91,9 +91,9 @@ def as_scalar(value: Any, where: str, *, low: float = 0.0, high: float = np.inf,
     """Return a finite float in (low, high] (or [low, high] with ``open_low=False``)."""
     number = _as_float(value, where)
     if not np.isfinite(number) or number > high or number < low or (open_low and number == low):
-        bracket = "(" if open_low else "["
+        begin, end = "(" if open_low else "[", "]" if np.isfinite(high) else ")"
         raise InvalidInputError(
-            f"{number:g} is outside {bracket}{low:g}, {high:g}]", where, "Give a number inside the interval."
+            f"{number:g} is outside {begin}{low:g}, {high:g}{end}", where, "Give a number inside the interval."
         )
     return number
 

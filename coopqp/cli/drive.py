@@ -7,11 +7,13 @@ import contextlib
 import math
 import signal
 import sys
+import threading
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from coopqp.cli.terminal import add_command, print_table, print_written, say
+from coopqp.control.interface import Status
 from coopqp.errors import InvalidInputError, printable
 
 if TYPE_CHECKING:
@@ -21,6 +23,8 @@ if TYPE_CHECKING:
     from coopqp.visualization.jog.link import PageLink
 
 _OK, _REFUSED, _FAILED, _INTERRUPTED = 0, 3, 4, 130
+#: How often it is looked whether the arms wait for something [s].
+_LOOKS_EVERY = 0.1
 #: How long states are read before a dry run [s].
 _READING = 2.0
 #: How far the arms may part when one stalls, on enabled robots [m].
@@ -266,6 +270,7 @@ def _drive(
             ending.callback(board.close)
             shown.shows.append(board.observe)
         seen = ending.enter_context(interrupts(loop))
+        ending.enter_context(_waits_told(loop, led=not plain))
         if not arguments.quiet:
             print(slower, flush=True)
         report = loop.run()
@@ -312,6 +317,40 @@ def _bounded(run: CellRun) -> tuple[Any, str]:
     return made(bound), (
         f"so that {stall}, the path takes {kept.time[-1]:.2f} s at full speed in place of {free.time[-1]:.2f} s"
     )
+
+
+@contextlib.contextmanager
+def _waits_told(loop: ControlLoop, *, led: bool) -> Iterator[None]:
+    """Say what the arms wait for. After a stop, without a page or topics, Enter goes on; without a terminal it ends."""
+    over = threading.Event()
+
+    def after_stop() -> None:
+        stop = "a robot has stopped, and all arms stand"
+        if led:
+            say(f"{stop}: they go on after resume")
+        elif sys.stdin.isatty():
+            say(f"{stop}: Enter goes on, Ctrl-C ends")
+            sys.stdin.readline()
+            loop.resume()
+        else:
+            loop.stop(f"{stop}; without a page, topics or a terminal nobody can resume")
+
+    def look() -> None:
+        said, stood = set[str](), False
+        while not over.wait(_LOOKS_EVERY):
+            step = loop.last_step
+            if step is not None and step.status is Status.WAITING and step.reason not in said:
+                say(step.reason)
+                said.add(step.reason)
+            if loop.stands and not stood:
+                after_stop()
+            stood = loop.stands
+
+    threading.Thread(target=look, daemon=True).start()
+    try:
+        yield
+    finally:
+        over.set()
 
 
 @contextlib.contextmanager

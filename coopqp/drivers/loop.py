@@ -104,6 +104,7 @@ class ControlLoop(LoopCalls):
         self._failed = False
         self._motion: SharedMotion | None = None
         self._standing = False
+        self._step: ControlStep | None = None
 
     # -- operators' calls ------------------------------------------------------------------------------------------
 
@@ -111,6 +112,11 @@ class ControlLoop(LoopCalls):
     def stands(self) -> bool:
         """Whether the arms stand after a stop of one of them, and wait for :meth:`resume`."""
         return self._standing
+
+    @property
+    def last_step(self) -> ControlStep | None:
+        """The controller's last step; None before the first."""
+        return self._step
 
     def beat(self) -> None:
         """Say that the operator is there: the heartbeat of ``LoopOptions.heartbeat``."""
@@ -191,7 +197,7 @@ class ControlLoop(LoopCalls):
     def _run(self) -> LoopReport:
         motion, time, h = self._motion, self._time, self.period
         assert motion is not None
-        self._step: ControlStep | None = None
+        self._step = None
         self._seen = np.zeros(self.cell.nv)
         self._off, self._measured = np.zeros(self.cell.nv), np.full(self.cell.nv, np.nan)
         self._statuses: Counter[str] = Counter()
@@ -281,9 +287,10 @@ class ControlLoop(LoopCalls):
                 self._missing[watch.robot.name] += 1
                 self._off[joints] = self._measured[joints] = np.nan
                 if watch.age(now) > self.options.gone_after:
+                    use = f" of use ({watch.refusal})" if watch.refusal else ""
                     self._end(
-                        f"robot '{watch.robot.name}' told no state for {1e3 * watch.age(now):.0f} ms, and where it "
-                        "stands is not known",
+                        f"robot '{watch.robot.name}' told no state{use} for {1e3 * watch.age(now):.0f} ms, and where "
+                        "it stands is not known",
                         failed=True,
                     )
                 continue

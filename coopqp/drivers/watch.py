@@ -28,6 +28,7 @@ class RobotWatch:
         moment: when it was on the loop's time [s].
         fresh: it came with the last reading.
         received, lost, refused: how many states came, are missing by their stamps, and were no use: old, or no numbers.
+        refusal: why the last state was refused; empty where it was not.
         offset: the loop's time minus the robot's [s].
     """
 
@@ -38,6 +39,7 @@ class RobotWatch:
         self.state: RobotState | None = None
         self.moment, self.fresh = -np.inf, False
         self.received = self.lost = self.refused = 0
+        self.refusal = ""
 
     @property
     def offset(self) -> float:
@@ -51,9 +53,8 @@ class RobotWatch:
         now = time.now()  # after the reading: a stall between would make the state older than it is
         if state is None:
             return
-        n = len(self.robot.joints)
-        old = self.state is not None and not state.stamp > self.state.stamp
-        if old or np.shape(state.q) != (n,) or not (np.isfinite(state.q).all() and np.isfinite(state.stamp)):
+        self.refusal = self._refusal_of(state)
+        if self.refusal:
             self.refused += 1
             return
         self._clock.take(state.stamp, now)
@@ -67,6 +68,17 @@ class RobotWatch:
         self.received += 1
 
     _read_at = -np.inf
+
+    def _refusal_of(self, state: RobotState) -> str:
+        """Why a state is of no use; empty if it is of use."""
+        n, size = len(self.robot.joints), np.shape(state.q)
+        if size != (n,):
+            return f"positions of shape {size} for {n} joints"
+        if not (np.isfinite(state.q).all() and np.isfinite(state.stamp)):
+            return "positions or a stamp that are no numbers"
+        if self.state is not None and not state.stamp > self.state.stamp:
+            return f"a stamp of {state.stamp:g} s after {self.state.stamp:g} s"
+        return ""
 
     def age(self, now: float) -> float:
         """Age of the newest state [s]."""

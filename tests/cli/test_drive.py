@@ -55,6 +55,8 @@ def test_a_dry_run_says_what_would_be_refused(quick, capsys, monkeypatch):
 
 
 def test_an_enabled_run_finishes_and_is_recorded(quick, capsys, tmp_path, monkeypatch):
+    import coopqp.drivers.loop  # noqa: F401  # which keeps the class itself
+
     # The machine of the tests may stall for longer than a robot may.
     monkeypatch.setattr("coopqp.drivers.options.LoopOptions", partial(LoopOptions, gone_after=10.0))
     file = tmp_path / "run.npz"
@@ -92,6 +94,13 @@ def test_bad_input_is_refused_before_anything_is_started(quick, capsys, tmp_path
     quick.write_text(text[: text.index("[drivers.right]")] + text[text.index("[grasp]") :])
     assert main(["drive", str(quick)]) == 2
     assert "arm 'right' has no driver" in capsys.readouterr().err
+
+
+def test_a_stop_that_nobody_can_resume_ends_the_run_and_is_said(quick, capsys):
+    """Commands that come a second late: the robot stands, though told to move."""
+    quick.write_text(quick.read_text().replace("latency = 0.0005", "latency = 1.0"))
+    assert main(["drive", str(quick), "--enable", "two_robots", "--speed", "1"]) == 4
+    assert "a robot has stopped, and all arms stand" in capsys.readouterr().err
 
 
 def test_ctrl_c_in_a_terminal_brakes_together_and_ends_with_130(quick, tmp_path):

@@ -137,6 +137,17 @@ def test_a_robot_that_is_silent_ends_the_run_near_the_others(cell, lift):
     _kept(run)
 
 
+def test_states_that_are_of_no_use_are_told_from_none(cell, lift):
+    def broken(robots, loop):
+        robot = robots["slave_1"]
+        read = robot.read
+        robot.read = lambda: None if (state := read()) is None else replace(state, q=state.q[:3])
+
+    run = drive(cell, lift, (0.0,) * 3, events=[(0.7, broken)])
+    assert "slave_1" in run.report.reason
+    assert "no state of use (positions of shape (3,) for 6 joints)" in run.report.reason
+
+
 def test_operators_calls_are_made_between_periods(cell, lift):
     seen = []
 

@@ -57,7 +57,8 @@ class SearchTable(Table):
     )
     time_limit_s: Seconds = Field(default=10.0, description="the longest search")
     nodes: Annotated[int, Ge(1), Le(MAX_NODES)] | None = Field(
-        default=None, description="number of poses that ends the search: then it finds the same way again"
+        default=None,
+        description="poses, and samples that lead to none, that end the search: the same way again",
     )
     seed: Annotated[int, Ge(0)] = Field(default=0, description="seed of the search")
     speed_m_per_s: Annotated[float, Ge(1e-3), Le(10.0)] = Field(
