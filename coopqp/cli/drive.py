@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import contextlib
 import math
+import select
 import signal
 import sys
 import threading
@@ -13,7 +14,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from coopqp.cli.terminal import add_command, print_table, print_written, say
-from coopqp.control.interface import Status
 from coopqp.errors import InvalidInputError, printable
 
 if TYPE_CHECKING:
@@ -322,6 +322,8 @@ def _bounded(run: CellRun) -> tuple[Any, str]:
 @contextlib.contextmanager
 def _waits_told(loop: ControlLoop, *, led: bool) -> Iterator[None]:
     """Say what the arms wait for. After a stop, without a page or topics, Enter goes on; without a terminal it ends."""
+    from coopqp.control.interface import Status
+
     over = threading.Event()
 
     def after_stop() -> None:
@@ -330,8 +332,10 @@ def _waits_told(loop: ControlLoop, *, led: bool) -> Iterator[None]:
             say(f"{stop}: they go on after resume")
         elif sys.stdin.isatty():
             say(f"{stop}: Enter goes on, Ctrl-C ends")
-            sys.stdin.readline()
-            loop.resume()
+            while loop.stands and not over.wait(_LOOKS_EVERY):
+                if select.select([sys.stdin], [], [], 0.0)[0]:
+                    sys.stdin.readline()
+                    loop.resume()
         else:
             loop.stop(f"{stop}; without a page, topics or a terminal nobody can resume")
 

@@ -7,7 +7,6 @@ import math
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from coopqp.checks import as_scalar
 from coopqp.cli.planned_program import run_program
 from coopqp.cli.terminal import add_command, print_table, print_written, reporter, say
 from coopqp.errors import CoopqpError, UndecidedError, UnreachableError, cause_of, printable
@@ -72,6 +71,8 @@ def run_plan(arguments: argparse.Namespace) -> int:
 
 
 def _run(arguments: argparse.Namespace) -> int:
+    from coopqp.checks import as_scalar
+
     for name, most in (("share", 1.0), ("jerk", math.inf)):
         if getattr(arguments, name) is not None:
             as_scalar(getattr(arguments, name), f"--{name}", high=most)
