@@ -85,7 +85,7 @@ def test_bad_input_is_refused_before_anything_is_started(quick, capsys, tmp_path
     for change, words in (
         (("[drivers.right]", "[drivers.other]"), "no arm named 'other'"),
         (('kind = "sim"\nperiod = 0.004\nlag = 0.010', 'kind = "simm"'), "simm"),
-        (("loss = 0.001", "loss = 1.0"), "loss"),
+        (("loss = 0.001", "loss = 1.0"), "two_robots.toml: drivers.right: SimOptions: loss"),
     ):
         assert change[0] in text
         quick.write_text(text.replace(*change))

@@ -236,8 +236,8 @@ class CellRun:
             table = tables[name] if name in tables and kind in (None, tables[name].kind) else None
             what = DRIVER_KINDS[kind or tables[name].kind]
             joints = [joint.partition("/")[2] for joint in cell.joint_names[own]]
-            options = {} if table is None else build_options(what.options, table)
             try:
+                options = {} if table is None else build_options(what.options, table)
                 made[name] = what.make(joints, x[own], options)
             except InvalidInputError as error:
                 raise CellFileError(f"{self.file}: drivers.{name}: {error}") from error
