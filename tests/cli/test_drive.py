@@ -54,11 +54,16 @@ def test_a_dry_run_says_what_would_be_refused(quick, capsys, monkeypatch):
     assert main(["drive", str(quick), "--enable", "two_robots"]) == 3
 
 
-def test_an_enabled_run_finishes_and_is_recorded(quick, capsys, tmp_path, monkeypatch):
+@pytest.fixture
+def patient(monkeypatch):
+    """The machine of the tests may stall for longer than a robot may."""
     import coopqp.drivers.loop  # noqa: F401  # which keeps the class itself
 
-    # The machine of the tests may stall for longer than a robot may.
     monkeypatch.setattr("coopqp.drivers.options.LoopOptions", partial(LoopOptions, gone_after=10.0))
+
+
+@pytest.mark.usefixtures("patient")
+def test_an_enabled_run_finishes_and_is_recorded(quick, capsys, tmp_path):
     file = tmp_path / "run.npz"
     given = ["drive", str(quick), "--enable", "two_robots", "--speed", "1", "--record", str(file)]
     assert main(given) == 0
@@ -96,6 +101,7 @@ def test_bad_input_is_refused_before_anything_is_started(quick, capsys, tmp_path
     assert "arm 'right' has no driver" in capsys.readouterr().err
 
 
+@pytest.mark.usefixtures("patient")
 def test_a_stop_that_nobody_can_resume_ends_the_run_and_is_said(quick, capsys):
     """Commands that come a second late: the robot stands, though told to move."""
     quick.write_text(quick.read_text().replace("latency = 0.0005", "latency = 1.0"))
