@@ -41,7 +41,7 @@ def add_jog(commands: Any) -> None:
         "leads the robots of a cell file, table [drivers]; it is no safety function. With --script the calls come from "
         "a text, without a page and not in real time: a line of it is a time in seconds, a call and its numbers: "
         "pause, resume, forward, step_to_mark, return_to_path, set_override SHARE, reverse [CLOCK], run_to CLOCK, "
-        "shift_path X Y Z, and jog VX VY VZ WX WY WZ [FRAME] [for SECONDS]. A # begins a comment.",
+        "shift_path X Y Z, signal NAME, and jog VX VY VZ WX WY WZ [FRAME] [for SECONDS]. A # begins a comment.",
         epilog="Ctrl-C ends the page. Exit status: 0 if limits, chain and path were kept (with --script or --record), "
         "4 if not; with --enable as of `coopqp drive`; 2 for bad input. Whether the object arrives is the operator's "
         "affair. `coopqp run CELL --replay RECORDING` repeats a run in simulation.",

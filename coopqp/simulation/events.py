@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, final
 
 import numpy as np
 
-from coopqp.errors import InvalidInputError
+from coopqp.errors import CoopqpError, InvalidInputError
 from coopqp.simulation.recording.recording import Recording
 
 #: A call of an operator ahead of a step: the controller, and how many steps are done.
@@ -17,6 +17,9 @@ Operate = Callable[[Any, int], None]
 _PLAIN = ("pause", "resume", "forward", "step_to_mark", "return_to_path", "release")
 _NUMBER = ("set_override", "reverse", "run_to")
 _POSE = ("retarget", "engage", "target")
+_CALLS = (*_PLAIN, *_NUMBER, *_POSE, "shift_path", "jog", "gear", "signal")
+#: What a script may call.
+_IN_SCRIPTS = (*_PLAIN, *_NUMBER, "signal", "shift_path", "jog")
 #: Between two jog commands of a script [s].
 _COMMANDS_APART = 0.05
 
@@ -31,12 +34,14 @@ class Event:
         call: name of the method.
         value: its arguments, as plain data.
         clock: the program's clock then [s].
+        place: where a script says so, for messages; else empty.
     """
 
     step: int
     call: str
     value: Any = None
     clock: float = 0.0
+    place: str = field(default="", compare=False)
 
     def make(self, controller: Any) -> None:
         """Make the call.
@@ -44,11 +49,18 @@ class Event:
         Raises:
             InvalidInputError: the controller takes no such call, or the values are wrong.
         """
+        try:
+            self._make(controller)
+        except CoopqpError as error:
+            if not self.place:
+                raise
+            raise InvalidInputError(str(error).rstrip("."), self.place, "Change this line.") from error
+
+    def _make(self, controller: Any) -> None:
         method = getattr(controller, self.call, None)
-        known = (*_PLAIN, *_NUMBER, *_POSE, "shift_path", "jog", "gear", "signal")
-        if self.call not in known or method is None:
+        if self.call not in _CALLS or method is None:
             what = f"a {type(controller).__name__} takes no call '{self.call}' from a recording or a script"
-            raise InvalidInputError(what, "Event", f"Calls are {', '.join(known)}.")
+            raise InvalidInputError(what, "Event", f"Calls are {', '.join(_CALLS)}.")
         if self.call in _PLAIN:
             method()
         elif self.call == "gear":
@@ -132,10 +144,11 @@ def read_script(file: Path, dt: float) -> tuple[Event, ...]:
         if not words:
             continue
         try:
-            found += _events(words, dt)
+            found += [replace(event, place=f"{file}, line {number}") for event in _events(words, dt)]
         except (ValueError, IndexError) as error:
             what = f"{file}, line {number}: {line.strip()}"
-            raise InvalidInputError(what, "script", "Write a time [s], a call, and its numbers.") from error
+            remedy = f"Write a time [s], a call, and its numbers; calls are {', '.join(_IN_SCRIPTS)}."
+            raise InvalidInputError(what, "script", remedy) from error
     return tuple(sorted(found, key=lambda event: event.step))
 
 

@@ -90,7 +90,7 @@ def test_a_script_is_read_line_by_line(tmp_path: Path) -> None:
 def test_a_line_that_is_no_call_is_named(line: str, tmp_path: Path) -> None:
     file = tmp_path / "script"
     file.write_text(f"0.1 pause\n{line}\n", encoding="utf-8")
-    with pytest.raises(InvalidInputError, match="line 2"):
+    with pytest.raises(InvalidInputError, match=r"line 2.* calls are pause, .* signal, "):
         read_script(file, 0.005)
 
 
@@ -123,5 +123,6 @@ def test_a_bad_script_or_name_of_a_recording_is_bad_input(tmp_path: Path, capsys
     script.write_text("1 reverse 100\n", encoding="utf-8")
     assert main(["jog", "paper_lift", "--script", str(tmp_path / "none")]) == 2
     assert main(["jog", "paper_lift", "--script", str(script), "--quiet"]) == 2
+    assert f"{script}, line 1: " in capsys.readouterr().err
     assert main(["jog", "paper_lift", "--script", str(script), "--record", "run.csv"]) == 2
     assert "ends in .npz" in capsys.readouterr().err
