@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
+from typing import Any
 
 import bad_numbers
 import importing
@@ -22,18 +23,13 @@ def test_every_stage_is_recorded(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_every_import_is_recorded(tmp_path: Path) -> None:
-    file = tmp_path / "importing.json"
-    assert importing.main(["--quick", "--json", str(file), "--out", str(tmp_path / "out")]) in (0, 1)
+@pytest.mark.parametrize(
+    ("benchmark", "key", "all_of"),
+    [(importing, "what", importing.CONTESTANTS), (bad_numbers, "numbers", bad_numbers.TARGETS)],
+)
+def test_every_case_is_recorded(benchmark: Any, key: str, all_of: dict[str, Any], tmp_path: Path) -> None:
+    file = tmp_path / "records.json"
+    assert benchmark.main(["--quick", "--json", str(file), "--out", str(tmp_path / "out")]) in (0, 1)
     records = json.loads(file.read_text(encoding="utf-8"))
-    assert [r["what"] for r in records] == list(importing.CONTESTANTS)
-    assert all(set(r) == set(importing.KEYS) for r in records)
-
-
-@pytest.mark.slow
-def test_steps_of_bad_numbers_are_recorded(tmp_path: Path) -> None:
-    file = tmp_path / "bad_numbers.json"
-    assert bad_numbers.main(["--quick", "--json", str(file), "--out", str(tmp_path / "out")]) in (0, 1)
-    records = json.loads(file.read_text(encoding="utf-8"))
-    assert [r["numbers"] for r in records] == list(bad_numbers.TARGETS)
-    assert all(set(r) == set(bad_numbers.KEYS) for r in records)
+    assert [r[key] for r in records] == list(all_of)
+    assert all(set(r) == set(benchmark.KEYS) for r in records)
