@@ -98,6 +98,13 @@ def as_scalar(value: Any, where: str, *, low: float = 0.0, high: float = np.inf,
     return number
 
 
+def as_seed(value: Any, where: str) -> int:
+    """Return a seed of random numbers, an integer ≥ 0."""
+    if isinstance(value, bool) or not isinstance(value, (int, np.integer)) or value < 0:
+        raise InvalidInputError(f"seed is {shown(value)}", where, "Give a whole number from 0 on.")
+    return int(value)
+
+
 def as_count(value: Any, where: str) -> int:
     """Return an integer ≥ 1."""
     number = _as_float(value, where)

@@ -41,6 +41,13 @@ def check_below(folder: Path) -> None:
         )
 
 
+def check_bag(folder: Path) -> None:
+    """Raise OutputError if the folder of a bag exists, or cannot be created. Creates nothing."""
+    if folder.exists():
+        raise OutputError(f"cannot write the bag {folder}: it exists. Remove it, or give another folder.")
+    check_folder(folder.parent)
+
+
 def check_file(file: Path) -> None:
     """Raise OutputError unless ``file`` can be written, or created with its folder. Creates nothing."""
     if file.is_dir():

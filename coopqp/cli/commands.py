@@ -27,8 +27,8 @@ from coopqp.cli.terminal import (
     say,
     styled,
 )
-from coopqp.errors import CoopqpError, OutputError, TooCloseError, UnreachableError, cause_of, printable
-from coopqp.output import check_folder, check_new, numbered, write_files
+from coopqp.errors import CoopqpError, TooCloseError, UnreachableError, cause_of, printable
+from coopqp.output import check_bag, check_new, numbered, write_files
 
 if TYPE_CHECKING:
     from coopqp.simulation.evaluation.assessment import Finding
@@ -430,9 +430,7 @@ def _run_export(arguments: argparse.Namespace) -> int:
 
     if arguments.bag is not None:
         require_rosbags()
-        if arguments.bag.exists():
-            raise OutputError(f"cannot write the bag {arguments.bag}: it exists. Remove it, or give another folder.")
-        check_folder(arguments.bag)
+        check_bag(arguments.bag)
     to_stdout = arguments.csv == Path("-")
     if arguments.csv is None and arguments.bag is None and arguments.npz is None:
         raise CoopqpError("nothing to write: give --csv, --bag or --npz.")

@@ -284,8 +284,6 @@ def _build(scene: CollisionScene) -> BuiltScene:
 
 def _without_shapes(cell: RobotCell, parts: Sequence[Part]) -> dict[str, str]:
     """Remarks on arms of which nothing is there to keep a distance from."""
-    if cell.groups:
-        return {}
     moved = {cell.arm_of_joint(cell.model.joints[p.joint].idx_v) for p in parts if p.joint and not p.object}
     there = {p.name.partition("/")[0] for p in parts} | {cell.arm_names[k] for k in moved}
     return {name: f"arm {name} {NO_SHAPES}" for name in cell.arm_names if name not in there}

@@ -17,6 +17,7 @@ from coopqp.control.interface import ControlStep
 from coopqp.drivers.ring import RowRing
 from coopqp.errors import OutputError
 from coopqp.lazy import needed
+from coopqp.output import check_bag
 from coopqp.spatial import Array
 
 #: Rows of the ring: at 500 Hz the writer may be away for 16 s.
@@ -45,8 +46,7 @@ class BagRecorder:
     def __init__(self, joint_names: Sequence[str], folder: str | Path) -> None:
         needed("rosbags.rosbag2", "bags", "rosbags")
         self.folder = Path(folder)
-        if self.folder.exists():
-            raise OutputError(f"cannot write the bag {folder}: it exists. Remove it, or give another folder.")
+        check_bag(self.folder)
         self._n = len(joint_names)
         self._closed: tuple[int, str] | None = None
         self._ring = RowRing(1 + 2 * self._n, _SLOTS)

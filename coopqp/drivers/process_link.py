@@ -65,10 +65,12 @@ class ProcessLink:
             [sys.executable, "-m", self._module, settings], env=environment, start_new_session=True
         )
         until = time.monotonic() + longest
+        ended = False  # asked ahead of the link: what it said before it ended is there
         while not select.select([self._link], [], [], _ASKED_EVERY)[0]:
-            if self._process.poll() is not None or time.monotonic() > until:
+            if ended or time.monotonic() > until:
                 self.close()
                 raise DriverError("its process does not start. Look at what it printed.")
+            ended = self._process.poll() is not None
         packet = self._link.recv(65536, socket.MSG_PEEK)
         if packet[:1] == ERROR:
             self.close()

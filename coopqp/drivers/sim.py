@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Annotated, Any, final
 
-from coopqp.checks import ArrayLike, Doc, as_options, as_vector, documented, keep_scalars
+from coopqp.checks import ArrayLike, Doc, as_options, as_seed, as_vector, documented, keep_scalars
 from coopqp.drivers.driver import Condition
 from coopqp.drivers.packets import pack_order
 from coopqp.drivers.process_link import ProcessDriver
@@ -36,8 +36,7 @@ class SimOptions:
         keep_scalars(self, "period", high=1.0)
         keep_scalars(self, "lag", "delay", "latency", "jitter", high=1.0, open_low=False)
         keep_scalars(self, "loss", high=0.9, open_low=False)
-        if not (isinstance(self.seed, int) and self.seed >= 0):
-            raise InvalidInputError(f"{self.seed!r} is no whole number ≥ 0", "SimOptions: seed", "Give one.")
+        object.__setattr__(self, "seed", as_seed(self.seed, "SimOptions"))
 
 
 @final

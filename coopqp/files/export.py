@@ -20,7 +20,7 @@ from coopqp.forces.utilisation import LoadUse
 from coopqp.lazy import needed
 from coopqp.model.cell import RobotCell, slides
 from coopqp.model.limits import BindingLimit
-from coopqp.output import check_folder, folder_of, temporary_name, whole_file
+from coopqp.output import check_bag, folder_of, temporary_name, whole_file
 from coopqp.simulation.evaluation.readings import check_recording, read_part
 from coopqp.simulation.recording.recording import Recording
 from coopqp.spatial import Array
@@ -228,9 +228,7 @@ def write_bag(recording: Recording, folder: str | Path, *, cell: RobotCell | Non
     cell = recording.cell(shapes=False) if cell is None else cell
     check_recording(cell, recording)
     target = Path(folder)
-    if target.exists():
-        raise OutputError(f"cannot write the bag {target}: it exists. Remove it, or give another folder.")
-    check_folder(target.parent)
+    check_bag(target)
     messages = Messages(get_typestore(Stores.ROS2_JAZZY), cell, recording, start)
     temporary = temporary_name(target)
     with folder_of(target):

@@ -152,9 +152,12 @@ def check_scene(cell: RobotCell, scene: Bodies | None, where: str) -> None:
 
 def remark(notes: Sequence[str]) -> list[str]:
     """Remarks on arms without shapes; of others the first, and how many there are besides."""
-    alone, others = ([n for n in notes if n.endswith(NO_SHAPES) is kind] for kind in (True, False))
-    more = len(others) - 1
-    return [*alone, *([f"{others[0]}, and {more} more of the kind" if more else others[0]] if others else [])]
+    found = [note for note in notes if note.endswith(NO_SHAPES)]
+    others = [note for note in notes if not note.endswith(NO_SHAPES)]
+    if others:
+        more = len(others) - 1
+        found.append(f"{others[0]}, and {more} more of the kind" if more else others[0])
+    return found
 
 
 def _mm(distance: float) -> str:

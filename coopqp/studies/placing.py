@@ -239,7 +239,7 @@ class Placer:
         self.arms = [ArmKinematics(arm.placed(pin.SE3.Identity())) for arm in cell.arms]
         self._near = [np.empty((0, arm.n)) for arm in self.arms]
         self._found: dict[tuple[int, bytes], ArmPlaced] = {}
-        self._distances = None if scene is None else _MovedDistances(scene)
+        self._distances = None if scene is None or not scene.built.labels else _MovedDistances(scene)
 
     @staticmethod
     def of(scenario: Scenario, *, goals: Goals | None = None) -> Placer:
@@ -383,8 +383,6 @@ class _MovedDistances:
 
     def least(self, bases: Sequence[pin.SE3], way: Array) -> tuple[float, tuple[str, str], int]:
         """Least distance [m] along a way (K, nv), between which bodies, and at which sample of the way."""
-        if not self.labels:  # no arm has shapes
-            return np.inf, ("", ""), 0
         moves = [base * arm.T_world_base.inverse() for base, arm in zip(bases, self.cell.arms, strict=True)]
         for joint, arm, placement in self.roots:
             self.model.jointPlacements[joint] = moves[arm] * placement

@@ -69,7 +69,7 @@ class Tolerances:
 
 
 #: Questions on how far a run came, which is an operator's affair.
-ARRIVALS = ("Did the object arrive?", "Did all phases end?")
+_ARRIVED, _ENDED = ARRIVALS = ("Did the object arrive?", "Did all phases end?")
 
 
 @dataclass(frozen=True)
@@ -148,14 +148,14 @@ def _phases(recording: Recording) -> tuple[Finding, ...]:
             continue
         moved, waited = (float(steps[there & part].sum()) for part in (~waits, waits))
         texts.append(f"{name} {moved:.3g} s" + f", then waiting {waited:.3g} s" * (waited > 0.0))
-    return (Finding(ARRIVALS[1], bool(recording.finished), "; ".join(texts)),)
+    return (Finding(_ENDED, bool(recording.finished), "; ".join(texts)),)
 
 
 _STOPPED = (Status.BLOCKED, Status.HOLDING, Status.FAULT)
 
 
 def _finished(recording: Recording) -> Finding:
-    question = ARRIVALS[0]
+    question = _ARRIVED
     end = float(recording.metadata.get("duration", math.nan))
     took = f"{recording.time[-1]:.4g} s" + (f" for a path of {end:.4g} s" if math.isfinite(end) else "")
     begun, ended = ramps(recording)

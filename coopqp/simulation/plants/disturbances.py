@@ -7,8 +7,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from coopqp.checks import as_scalar, keep_scalars, require
-from coopqp.errors import InvalidInputError, shown
+from coopqp.checks import as_scalar, as_seed, keep_scalars, require
 from coopqp.forces.wrist_sensor import WristSensor
 from coopqp.model.cell import RobotCell
 from coopqp.model.grasp import Grasp
@@ -66,8 +65,7 @@ class Disturbances:
         )
         keep_scalars(self, "wrench_noise", "wrench_bias", "wrench_latency", open_low=False)
         keep_scalars(self, "drop_share", "dt_jitter", "wrench_drop_share", high=0.99, open_low=False)
-        if isinstance(self.seed, bool) or not isinstance(self.seed, (int, np.integer)) or self.seed < 0:
-            raise InvalidInputError(f"seed is {shown(self.seed)}", "Disturbances", "Give a whole number from 0 on.")
+        as_seed(self.seed, "Disturbances")
         for name in ("lag", "stall"):
             for arm, value in getattr(self, name).items():
                 as_scalar(value, f"Disturbances: {name}['{arm}']", open_low=False)
