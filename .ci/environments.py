@@ -207,13 +207,13 @@ def from_sdist(_: list[str]) -> None:
 
 
 def extras(_: list[str]) -> None:
-    """Each extra alone, and all of them."""
+    """Each extra alone, and all of them: what needs one. The steps of the release try what needs none."""
     source = wheel()
 
     def try_one(extra: str) -> None:
         made = Environment(f"extra-{extra}", extras=(extra,), source=source)
         made.make()
-        made.run("python", str(ROOT / "tests" / "installed.py"), "--kernel", "compiled", extra)
+        made.run("python", str(ROOT / "tests" / "installed.py"), "--kernel", "compiled", "--extras", extra)
 
     with ThreadPoolExecutor(2) as pool:
         list(pool.map(try_one, (*EXTRAS, "all")))
