@@ -12,6 +12,7 @@ import numpy.typing as npt
 from coopqp.errors import InvalidInputError, UnknownNameError, shown
 
 Array: TypeAlias = npt.NDArray[np.float64]
+Flags: TypeAlias = npt.NDArray[np.bool_]
 #: Arguments that become arrays: numbers in lists, tuples or arrays.
 ArrayLike: TypeAlias = npt.ArrayLike
 

@@ -13,7 +13,7 @@ from typing import TypeAlias
 import numpy as np
 import pinocchio as pin
 
-from coopqp.checks import NOT_NUMBERS, Array as Array, as_floats
+from coopqp.checks import NOT_NUMBERS, Array as Array, Flags as Flags, as_floats
 from coopqp.errors import InvalidInputError
 
 Placement: TypeAlias = "pin.SE3 | Array"

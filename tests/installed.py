@@ -1,8 +1,8 @@
 """What an installation can do with its extras, and what it says of those that are missing. Needs no other package.
 
 ``python tests/installed.py [--kernel NAME] [--extras] [EXTRA …]`` tries everything that needs an extra: it works if the
-extra was given; else the error names it, before any work is done. Cell files are run, checked, planned and drawn without
-any; ``--extras`` leaves out what needs none.
+extra was given; else the error names it, before any work is done. Cell files are run, checked, planned and drawn
+without any; ``--extras`` leaves out what needs none.
 """
 
 from __future__ import annotations

@@ -33,8 +33,6 @@ _SHORTEST = 1e-6
 _AT_ONCE, _MOST = 64, 30_000
 #: Where nothing is proved, joints are taken to move this many times the straight way between samples.
 _BENT = 1.1
-
-Flags = npt.NDArray[np.bool_]
 Indices = npt.NDArray[np.intp]
 
 

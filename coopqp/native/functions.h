@@ -68,7 +68,7 @@ static double next_breakpoint(const Core *c, double clock);
 static bool grasps_move(const Core *c);
 /* The tools are from now on where they are on the object at a clock. */
 static void place_grasps(Core *c, double clock);
-/* The arms that hold the object at a clock have the shares in the common error. */
+/* The arms that hold the object at a clock have the shares in the common error, and are compared with each other. */
 static void take_contact(Core *c, double clock);
 /* Twist of a tool on the object, in the object frame. */
 static Vector6 twist_on_object(const Core *c, int k, double clock);

@@ -1,7 +1,7 @@
 /* How the tools move on the object along its path, and which arms hold it: coopqp/paths/grasp_motion.py defines it.
  *
  * The numbers: how many pieces each arm has (n); the number of contacts, each with the clock from which on it counts and
- * the arms' shares in the common error (1 + 6 n); then the pieces, arm by arm: A (12), B (12), and the segment S (29) of
+ * the arms' shares in the common error, and which arms hold (1 + 7 n); then the pieces, arm by arm: A (12), B (12), and the segment S (29) of
  * M = A S(τ) B, by which a tool has moved from its place in the object frame. */
 
 #include "functions.h"
@@ -17,7 +17,7 @@ static int contact_count(const Core *c) { return (int)c->grasp_numbers[c->arms];
 
 /* The first piece of an arm; its pieces follow it. */
 static const double *pieces_of_arm(const Core *c, int k) {
-    const double *piece = contacts_of(c) + (1 + 6 * c->arms) * contact_count(c);
+    const double *piece = contacts_of(c) + (1 + 7 * c->arms) * contact_count(c);
     for (int i = 0; i < k; i++) piece += GRASP_PIECE * (int)c->grasp_numbers[i];
     return piece;
 }
@@ -57,9 +57,10 @@ static void place_grasps(Core *c, double clock) {
 
 static void take_contact(Core *c, double clock) {
     const double *row = contacts_of(c);
-    const int size = 1 + 6 * c->arms;
+    const int size = 1 + 7 * c->arms;
     for (int i = 1; i < contact_count(c) && row[size] <= clock + 1e-12; i++) row += size;
     c->shares = Eigen::Map<const Matrix6X>(row + 1, 6, c->arms);
+    c->holding = Given(row + 1 + 6 * c->arms, c->arms);
 }
 
 /* M′ M⁻¹ = Ad(A S) t, with the body twist t of S. */

@@ -33,7 +33,7 @@ static int farthest_grasp(const Core *c, const Vector6 &rest) {
     int arm = 0;
     for (int k = 0; k < c->arms; k++) {
         const double square = (rest.head<3>() + rest.tail<3>().cross(c->levers.col(k))).squaredNorm();
-        if (square > most) most = square, arm = k;
+        if (holds(c, k) && square > most) most = square, arm = k;
     }
     return arm;
 }
@@ -52,7 +52,7 @@ static void watch_lag(Core *c, double dt, Seen *seen) {
     Watch *w = c->watch;
     Vector6 velocity;
     if (!told_velocity(c, velocity)) return;
-    const Vector6 mean = mean_of(c->deviation);
+    const Vector6 mean = mean_where(c->holding, c->deviation);
     const double hasty = hasty_by_now(c, velocity, dt), speed = velocity.norm();
     const int moves = speed > LAG_SLOWEST, rests = fmax(speed, c->lag_told.norm()) <= LAG_SLOWEST;
     if (w->lag_begun == 0.0) { /* what moves shows no deviation at rest */

@@ -118,8 +118,9 @@ def _fields(text: str) -> tuple[tuple[str, str], ...]:
 #: The fields of each block: name and size, in C++. A size that begins with a struct is of a field of such structs.
 CONFIG = _fields(
     "arm_start n; arm_size n; arm_group n; link_R 9 * nv; link_p 3 * nv; prismatic nv; continuous nv; q_index nv; "
-    "object 12 * n; tool_p 3 * n; scale nv; places 12 * n; shares 6 * n; low nv; high nv; speed nv; acceleration nv; "
-    "unit unknowns; at_grasps 36; levers 3 * n; softness nv; posture_cap nv; posture_bounded nv; posture_middle nv; "
+    "object 12 * n; tool_p 3 * n; scale nv; places 12 * n; shares 6 * n; holding n; "
+    "low nv; high nv; speed nv; acceleration nv; unit unknowns; at_grasps 36; levers 3 * n; softness nv; "
+    "posture_cap nv; posture_bounded nv; posture_middle nv; "
     "plan_speed nv; plan_acceleration nv; plan_jump nv; plan_room nv; slope_change nv; most_move nv; options Options"
 )
 STATE = _fields(
@@ -127,7 +128,7 @@ STATE = _fields(
     "grasp_shift 6 * n; asked_shift 6 * n; drift 6; latched 6; changed_at 1; correcting 6; "
     "posture_target nv; quiet_centre nv; quiet_reach nv; "
     "quiet_ahead_centre nv; quiet_ahead_reach nv; watch Watch; deviation 6 * n; away 6 * n; away_step 6 * n; noise n; "
-    "stalled n; widest n; lost n; seen nq; history 2 * nv * past; slow_drift 6 * n; lag 6 * n; apart 6 * n; "
+    "stalled n; widest n; lost n; held n; seen nq; history 2 * nv * past; slow_drift 6 * n; lag 6 * n; apart 6 * n; "
     "drift_last nv; lag_base 6; lag_told 6; lag_way 6; deflection nv; way nv; commanded nv; forces n; "
     "slow_forces n; ahead Ahead; ahead_object 12 * n; "
     "kinks MOST_KINKS; seek_low 12; seek_high 12; told_velocity nv; knots Knot * MOST_KNOTS; "

@@ -42,10 +42,10 @@ static void watch_servos(Core *c, const Twists &away, double dt, Seen *seen) {
     to_grasps(c, off, at_grasps);
     const double time = c->options->filter_time, share = sqrt(dt / (2.0 * time + dt)); /* of the noise that passes */
     const double noise = share * m->servo_noise; /* before this sample, which may be the first of a stall */
-    m->servo_noise = noise_seen(&m->servo_samples, f.off_last, f.off_step, f.off_noise, at_grasps, dt);
+    m->servo_noise = noise_seen(c, &m->servo_samples, f.off_last, f.off_step, f.off_noise, at_grasps, dt);
     f.off_servos += dt / (time + dt) * (at_grasps - f.off_servos);
     if (m->servo_samples < FEW_SAMPLES) return;
-    from_others(c, f.off_servos, apart);
+    from_others(c->holding, f.off_servos, apart);
     const double most = fmax((apart - f.off_drift).cwiseAbs().maxCoeff(), 1e-300);
     f.off_drift += fmin(LARGEST_SLOPE * m->way_done / most, 1.0) * (apart - f.off_drift); /* the load is shared otherwise */
     apart -= f.off_drift;

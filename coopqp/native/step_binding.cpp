@@ -283,7 +283,7 @@ static void set_grasps(BoundCore &self, InOrNone &numbers) {
     if (good && found) {
         const double contacts = found[self.arms];
         good = contacts >= 1 && contacts < 1e6;
-        if (good) good = numbers.size == size + (1 + 6 * self.arms) * (Py_ssize_t)contacts;
+        if (good) good = numbers.size == size + (1 + 7 * self.arms) * (Py_ssize_t)contacts;
     }
     check_fit(good, "the numbers are no motion of tools");
     self.grasp_array = std::move(numbers);

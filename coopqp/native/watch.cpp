@@ -44,11 +44,22 @@ static Vector6 mean_of(const Twists &x) {
     return mean / (double)x.cols();
 }
 
-/* How far each arm is from the mean of the others. */
-static void from_others(const Core *c, const Twists &x, Twists &out) {
-    const double n = c->arms, factor = n / (n - 1.0);
-    const Vector6 mean = mean_of(x);
-    for (int k = 0; k < c->arms; k++) out.col(k) = factor * (x.col(k) - mean);
+static bool holds(const Core *c, int k) { return c->holding[k] != 0.0; }
+
+/* The mean of some arms, 0 without any; `which` has a number of each. */
+template <class Which> static Vector6 mean_where(const Which &which, const Twists &x) {
+    const double count = which.sum();
+    Vector6 sum = Vector6::Zero();
+    for (int k = 0; k < x.cols(); k++)
+        if (which[k] != 0.0) sum += x.col(k);
+    return count > 0.0 ? Vector6(sum / count) : sum;
+}
+
+/* How far each arm that holds the object is from the mean of the others that do; one that does not hold it from none. */
+template <class Which> static void from_others(const Which &which, const Twists &x, Twists &out) {
+    const double n = which.sum(), factor = n > 1.0 ? n / (n - 1.0) : 0.0;
+    const Vector6 mean = mean_where(which, x);
+    for (int k = 0; k < x.cols(); k++) out.col(k) = which[k] * factor * (x.col(k) - mean);
 }
 
 /* Has arm k sent the numbers of the sample before, to the last bit? */
@@ -77,8 +88,9 @@ static void keep_where_lost(Core *c, const double *q, Twists &away) {
     c->watch->has_seen = 1.0;
 }
 
-/* Noise in unfiltered deviations [m, rms], from their second differences, which motion hardly has. */
-static double noise_seen(double *samples, Twists &last, Twists &last_step, double *noise, const Twists &away, double dt) {
+/* Noise in unfiltered deviations of arms that hold [m, rms], from their second differences, which motion hardly has. */
+static double noise_seen(const Core *c, double *samples, Twists &last, Twists &last_step, double *noise,
+                         const Twists &away, double dt) {
     double largest = 0.0;
     *samples = fmin(*samples + 1.0, NOISE_TIME / dt);
     const double gain = 1.0 / fmax(*samples - 2.0, 1.0);
@@ -86,7 +98,7 @@ static double noise_seen(double *samples, Twists &last, Twists &last_step, doubl
         const Vector6 step = away.col(k) - last.col(k), bend = step - last_step.col(k);
         last.col(k) = away.col(k), last_step.col(k) = step;
         if (*samples > 2.0) noise[k] += gain * (bend.squaredNorm() - noise[k]); /* the first have no past */
-        largest = larger(largest, noise[k]);
+        if (holds(c, k)) largest = larger(largest, noise[k]);
     }
     return sqrt(largest / 6.0);
 }
@@ -162,6 +174,28 @@ static void follow_drift(Core *c, const Twists &apart, double dt, Twists &out) {
     out = apart - c->slow_drift;
 }
 
+/* Other arms hold than before. Those that go on are as far out of step as they were, and one that attaches is not: the
+ * drift begins anew where that is so. */
+static void take_over(Core *c, Twists &base) {
+    const auto go_on = c->held.cwiseProduct(c->holding);
+    const double held = c->held.sum(), share = held > 1.0 ? (held - 1.0) / held : 0.0, limit = c->options->let_in;
+    if (c->watch->lag_begun != 0.0)
+        c->lag_base += mean_where(c->holding, c->deviation) - mean_where(c->held, c->deviation);
+    base = c->deviation - share * c->slow_drift;
+    const Vector6 rest = mean_where(go_on, base);
+    for (int k = 0; k < c->arms; k++)
+        if (go_on[k] != 0.0)
+            base.col(k) = share * c->slow_drift.col(k);
+        else
+            base.col(k) = c->deviation.col(k) - rest;
+    from_others(c->holding, base, c->slow_drift);
+    c->slow_drift = c->slow_drift.cwiseMax(-limit).cwiseMin(limit);
+    from_others(c->holding, c->deviation, c->apart);
+    c->lag.setZero();
+    c->watch->var_lag = LAG * LAG, c->watch->covariance = 0.0;
+    c->held = c->holding;
+}
+
 /* -- out of step --------------------------------------------------------------------------------------------------- */
 
 /* Count the samples in a row in which an arm is as far from the others as a fault needs. One that the arm farthest from
@@ -171,10 +205,10 @@ static void count_far(Core *c, const Twists &away, const Twists &apart, const Tw
     double most = -1.0;
     for (int k = 0; k < c->arms; k++) {
         const double own = away.col(k).squaredNorm();
-        if (own > most) most = own, farthest = k;
+        if (holds(c, k) && own > most) most = own, farthest = k;
     }
     if (has_lost(c, farthest)) return;
-    from_others(c, away, unfiltered);
+    from_others(c->holding, away, unfiltered);
     unfiltered -= apart - out_of_step;
     const double limit = c->options->fault_from;
     const int far = largest_square(unfiltered) >= limit * limit;
@@ -208,10 +242,11 @@ static void watch_distances(Core *c, const double *q, const Twists &away_given, 
     Twists away = scratch(0), apart = scratch(1), out_of_step = scratch(2), unfiltered = scratch(3);
     to_grasps(c, away_given, away);
     keep_where_lost(c, q, away);
+    if ((c->held.array() != c->holding.array()).any()) take_over(c, apart);
     c->deviation += dt / (o->filter_time + dt) * (away - c->deviation);
     const double share = sqrt(dt / (2.0 * o->filter_time + dt)); /* of the noise that passes the filter */
-    const double noise = share * noise_seen(&c->watch->samples, c->away, c->away_step, c->noise, away, dt);
-    from_others(c, c->deviation, apart);
+    const double noise = share * noise_seen(c, &c->watch->samples, c->away, c->away_step, c->noise, away, dt);
+    from_others(c->holding, c->deviation, apart);
     if (o->let_in > 0.0 && rigid)
         follow_drift(c, apart, dt, out_of_step);
     else if (o->let_in > 0.0)
@@ -221,7 +256,7 @@ static void watch_distances(Core *c, const double *q, const Twists &away_given, 
     count_far(c, away, apart, out_of_step, unfiltered);
     const double largest = sqrt(largest_square(out_of_step));
     const double worst = largest - o->noise_margin * noise;
-    c->watch->lag_noise = o->noise_margin * noise / sqrt((double)c->arms) + fmax(worst, 0.0); /* see watch_lag() */
+    c->watch->lag_noise = o->noise_margin * noise / sqrt(fmax(c->holding.sum(), 1.0)) + fmax(worst, 0.0); /* see watch_lag() */
     if (worst <= o->slow_from || c->watch->samples < FEW_SAMPLES) return;
     const int arm = most_out_of_step(c, out_of_step, largest);
     hold_for(seen, OUT_OF_STEP_BY, arm, out_of_step.col(arm).norm(), 0.0);
@@ -429,6 +464,7 @@ static int read_forces(Core *c, const double *positions, double dt) {
         Matrix6 factored = own;
         factored.diagonal().array() += STRUCTURE;
         solve_symmetric6(factored, wrenches.col(k));
+        if (!holds(c, k)) wrenches.col(k).setZero(); /* nothing presses on it */
         c->forces[k] = wrenches.col(k).head<3>().norm();
         if (larger(c->forces[most], c->forces[k]) != c->forces[most]) most = k;
     }
@@ -520,7 +556,8 @@ static void watch_sample(Core *c, const double *positions, const double *q, cons
         if (minds && o->slow_from >= 0.0) watch_servos(c, away, dt, &seen);
         if (o->stall_samples > 0.0) watch_stall(c, positions, dt, minds, &seen);
         if (o->watches_force != 0.0) watch_forces(c, positions, dt, &seen);
-        if (c->arms > 1 && !c->minding && o->watches_force == 0.0 && o->slow_from >= 0.0) watch_lag(c, dt, &seen);
+        if (c->arms > 1 && !c->minding && c->holding.sum() > 1.0 && o->watches_force == 0.0 && o->slow_from >= 0.0)
+            watch_lag(c, dt, &seen);
         if (o->recovery_time > 0.0) recover(c, dt, &seen);
         if (c->minding && c->minding->touches != 0.0 && !seen.fault) hold_for(&seen, TOUCHING, -1, 0.0, 0.0); /* at once */
     }
@@ -536,7 +573,7 @@ static void watch_reset(Core *c) {
     c->watch->watch_rate = 1.0;
     c->watch->watch_arm = c->watch->behind = -1.0;
     c->watch->var_lag = LAG * LAG;
-    for (Vector *x : {&c->noise, &c->stalled, &c->widest, &c->lost, &c->forces, &c->slow_forces}) x->setZero();
+    for (Vector *x : {&c->noise, &c->stalled, &c->widest, &c->lost, &c->held, &c->forces, &c->slow_forces}) x->setZero();
     for (Twists *x : {&c->deviation, &c->away, &c->away_step, &c->slow_drift, &c->lag, &c->apart}) x->setZero();
     for (Twist *x : {&c->lag_base, &c->lag_told, &c->lag_way}) x->setZero();
     for (Vector *x : {&c->told_velocity, &c->deflection, &c->way}) x->setZero();

@@ -26,7 +26,7 @@ import numpy.typing as npt
 from coopqp.model.batch import ArmKinematics
 from coopqp.model.branches import AT_LIMIT
 from coopqp.planning.segments import Indices, Segments
-from coopqp.spatial import Array, cross
+from coopqp.spatial import Array, Flags, cross
 
 #: Rounds of the search for r, growth of r in each, and floor of |v| as a share of its largest entry.
 _ROUNDS, _GROWTH, _FLOOR = 6, 1.1, 1e-3
@@ -34,8 +34,6 @@ _ROUNDS, _GROWTH, _FLOOR = 6, 1.1, 1e-3
 _EXACT, _EXACT_SHARE = 1e-11, 1e-14
 #: Ends of intervals lie in the tube within this [rad or m].
 _INSIDE = 1e-8
-
-Flags = npt.NDArray[np.bool_]
 
 
 @dataclass(frozen=True, eq=False)

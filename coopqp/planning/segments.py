@@ -19,7 +19,7 @@ from coopqp.paths.path import ObjectPath
 from coopqp.paths.section import Section
 from coopqp.paths.time_law import TimeLaw
 from coopqp.paths.timed import TimedPath
-from coopqp.spatial import Array
+from coopqp.spatial import Array, Flags
 
 _NUMBERS = 29
 _X = np.arange(1, 12) / 12.0
@@ -44,7 +44,7 @@ class Segments:
     pieces: tuple[Piece, ...]
     start: Array
     duration: Array
-    quintic: npt.NDArray[np.bool_]
+    quintic: Flags
     when: Callable[[Array], Array] | None = None
     where: Callable[[Array], Array] | None = None
 

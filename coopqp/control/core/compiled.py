@@ -165,12 +165,12 @@ class CompiledLoop:
         if motion is None:
             at["latched"][:] = 0.0
             if had:
-                at["object"][:], at["shares"][:] = at["places"], self._shares_of(None)
+                at["object"][:], at["shares"][:], at["holding"][:] = at["places"], self._shares_of(None), 1.0
                 self._chain.place(self._fixed)
             self._core.set_grasps(None)
             return
         numbers, n = motion.packed(), len(cell)
-        contact = [[clock, *self._shares_of(holds)] for clock, holds in motion.contact]
+        contact = [[clock, *self._shares_of(holds), *holds] for clock, holds in motion.contact]
         self._core.set_grasps(np.concatenate([numbers[:n], [len(contact)], np.ravel(contact), numbers[n:]]))
 
     def _shares_of(self, holds: tuple[bool, ...] | None) -> Array:
@@ -286,7 +286,8 @@ class CompiledLoop:
             raise InvalidInputError("its memory is of another version", "QPController", "Build and reset a new one.")
         state[:] = memory
         if self._motion is not None:
-            self.at["shares"][:] = self._shares_of(self._motion.holds(self.clock))
+            holds = self._motion.holds(self.clock)
+            self.at["shares"][:], self.at["holding"][:] = self._shares_of(holds), holds
 
     @property
     def clock(self) -> float:

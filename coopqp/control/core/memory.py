@@ -95,8 +95,8 @@ def build_memory(
     at_grasps = grasp_lengths(chain.grasp)
     bounded = np.isfinite(limits.lower) & np.isfinite(limits.upper)
     fields = {
-        "scale": chain.scale, "shares": shares.ravel(), "unit": unit, "low": limits.lower, "high": limits.upper,
-        "speed": limits.velocity, "acceleration": limits.acceleration,
+        "scale": chain.scale, "shares": shares.ravel(), "holding": np.ones(len(cell)), "unit": unit,
+        "low": limits.lower, "high": limits.upper, "speed": limits.velocity, "acceleration": limits.acceleration,
         "most_move": np.where(box.unlimited, LARGEST_MOVE, np.inf), "at_grasps": at_grasps.ravel(),
         "levers": grasp_levers(chain.grasp, at_grasps[5, 5]).ravel(),
         "softness": 0.0 if stiffness is None else 1.0 / np.asarray(stiffness, dtype=float),

@@ -23,7 +23,23 @@ from coopqp.native.constants import (
     SMOOTHING,
     WANDER,
 )
-from coopqp.spatial import Array
+from coopqp.spatial import Array, Flags
+
+
+def from_others(holds: Flags) -> Array:
+    """Maps values of the arms to their differences from the mean of the other arms that hold (N, N).
+
+    Of an arm that does not hold it is 0, as of one that holds alone. ``holds`` (N,) tells which do.
+    """
+    n = int(holds.sum())
+    out: Array = np.diag(holds.astype(float)) - np.outer(holds, holds) / max(n, 1)
+    return out * (n / max(n - 1.0, 1.0) if n > 1 else 0.0)
+
+
+def mean_where(holds: Flags, values: Array) -> Array:
+    """The mean of the values (N, …) of the arms that hold; 0 where none does."""
+    out: Array = values[holds].mean(axis=0) if holds.any() else np.zeros(values.shape[1:])
+    return out
 
 
 @final
@@ -47,6 +63,24 @@ class Drift:
         #: The motion of the arms in the last sample of rigid grips [rad or m].
         self.way = 0.0
         self._bb, self._bc, self._cc = 0.0, 0.0, LAG**2  # variances and covariance of drift and lag
+
+    def take_over(self, deviation: Array, before: Flags, now: Flags) -> None:
+        """Other arms hold than before.
+
+        Those that go on are as far out of step as they were, and one that attaches is not: the drift begins anew where
+        that is so.
+
+        Args:
+            deviation: of each arm from its command (N, 6) [m].
+            before, now: which arms hold (N,).
+        """
+        held, go_on = int(before.sum()), before & now
+        base = (held - 1.0) / held * self._drift if held else 0.0 * self._drift
+        rest = mean_where(go_on, deviation - base)
+        base = np.where(go_on[:, None], base, deviation - rest)
+        self._drift = np.clip(from_others(now) @ base, -self._largest, self._largest)
+        self._lag, self._apart = np.zeros_like(self._lag), from_others(now) @ deviation
+        self._cc, self._bc = LAG**2, 0.0
 
     def without(self, apart: Array, noise: float, commanded: Array, dt: float) -> Array:
         """Distances ``apart`` (N, 6) [m] without the drift.

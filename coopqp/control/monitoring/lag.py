@@ -36,7 +36,7 @@ from coopqp.native.constants import (
     LONGEST_LAG,
     SERVO_PEAK,
 )
-from coopqp.spatial import Array
+from coopqp.spatial import Array, Flags
 
 #: The sentence of an arm that is found.
 OFF_LAG = "arm {arm} seems to have stopped in its grip: the arms are {mm:.2f} mm from where a lag could put them"
@@ -93,14 +93,22 @@ class LagWatch:
         self._low, self._high, self._hasty, self._suspects = 0.0, LONGEST_LAG, 0.0, False
         self._since, self._soft = 0.0, 0.0
 
-    def look(self, deviation: Array, velocity: Array, noise: float, dt: float, *, settled: bool) -> tuple[float, int]:
+    def take_over(self, shift: Array) -> None:
+        """Other arms hold than before, and their deviation is another by ``shift`` (6,) [m]."""
+        if self._base is not None:
+            self._base = self._base + shift
+
+    def look(
+        self, deviation: Array, velocity: Array, noise: float, dt: float, *, holds: Flags, settled: bool
+    ) -> tuple[float, int]:
         """Take one sample.
 
         Args:
-            deviation: of all arms, in lengths at the grasps (6,) [m].
+            deviation: of all arms that hold, in lengths at the grasps (6,) [m].
             velocity: of the object as commanded, in the same way (6,) [m/s].
             noise: accepted deviation by noise, and by arms that part: their grips are not rigid [m].
             dt: time since the last sample [s].
+            holds: which arms hold (N,).
             settled: there were samples enough to know the noise.
 
         Returns:
@@ -138,7 +146,7 @@ class LagWatch:
         self._suspects = excess > 0.0 and settled
         if self._suspects:
             at_grasps = rest[:3] + np.cross(rest[3:], self._levers)
-            return excess, int(np.einsum("ij,ij->i", at_grasps, at_grasps).argmax())
+            return excess, int(np.where(holds, np.einsum("ij,ij->i", at_grasps, at_grasps), -1.0).argmax())
         if moves:
             self._high = min(self._high + LARGEST_SLOPE * dt, LONGEST_LAG, max((behind + margin) / speed, 0.0))
             self._low = max(self._low - LARGEST_SLOPE * dt, (behind - margin) / speed, 0.0)

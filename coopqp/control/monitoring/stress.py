@@ -80,8 +80,11 @@ class StressWatch:
         force = float(self.forces[arm])
         return force if not force >= LET_GO * limit else force + SOON / PACE_TIME * max(force - self._slow[arm], 0.0)
 
-    def read(self, measured: Array, commanded: Array, dt: float) -> None:
-        """Take one sample: configurations at the same time (nq,), ``dt`` seconds after the last ones."""
+    def read(self, measured: Array, commanded: Array, dt: float, holds: Any = True) -> None:
+        """Take one sample: configurations at the same time (nq,), ``dt`` seconds after the last ones.
+
+        Nothing presses on arms that do not hold; ``holds`` (N,) tells which do, by default all.
+        """
         model, chain = self._cell.model, self._chain
         keep = self._filter_time / (self._filter_time + dt)
         velocity = np.zeros(self._cell.nv) if self._last is None else pin.difference(model, self._last, commanded) / dt
@@ -90,7 +93,7 @@ class StressWatch:
         self._deflection = self._deflection + (1.0 - keep) * (off - self._deflection)
         chain.evaluate(measured, about=chain.carried(measured)[0].translation)
         C, bent = chain.compliances(self._softness), chain.twists(self._deflection)
-        wrenches = servo_wrenches(C, bent)
+        wrenches = servo_wrenches(C, bent) * np.reshape(holds, (-1, 1))
         self.forces = np.linalg.norm(wrenches[:, :3], axis=1)
         self._slow = self._slow + dt / (PACE_TIME + dt) * (self.forces - self._slow)
         self.behind = -1

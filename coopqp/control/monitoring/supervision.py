@@ -17,7 +17,7 @@ import numpy.typing as npt
 
 from coopqp.checks import NOT_NUMBERS, as_floats, as_scalar
 from coopqp.constraints.cause import Cause
-from coopqp.control.monitoring.drift import Drift
+from coopqp.control.monitoring.drift import Drift, from_others, mean_where
 from coopqp.control.monitoring.lag import OFF_LAG, LagWatch, excess_cap, kept_samples, least_told
 from coopqp.control.monitoring.noise import noise_seen
 from coopqp.control.monitoring.options import SupervisionOptions
@@ -41,7 +41,7 @@ from coopqp.native.constants import (
     NOISE_TIME,
     STILL_COMMAND,
 )
-from coopqp.spatial import Array, skew
+from coopqp.spatial import Array, Flags, skew
 
 
 def as_number(value: Any) -> float:
@@ -75,6 +75,7 @@ class _State:
         drift, lag: of the arms from each other, and the common one; quiet: what noise makes of that one [m].
         commanded: positions in the last sample (nv,); None before the first.
         numbers, repeated: measured numbers of the last sample, and how often each arm's were repeated (N,).
+        held: arms that held (N,).
         far: samples in a row in which an arm was as far from the others as a fault needs.
         pressed: the arms press too hard on the object.
         velocity: commanded velocities of the joints, filtered (nv,).
@@ -84,9 +85,10 @@ class _State:
     away: Array
     step: Array
     noise: Array
-    stalled: npt.NDArray[np.bool_]
+    stalled: Flags
     widest: Array
     repeated: npt.NDArray[np.intp]
+    held: Flags
     past: deque[tuple[Array, Array]]
     drift: Drift
     lag: LagWatch
@@ -115,8 +117,7 @@ class Supervision:
         self._stress = _stress_watch(cell, grasp, options)
         self._continuous = np.flatnonzero(cell.continuous)
         n = len(cell)
-        #: Maps deviations of the arms to their differences from the mean of the others.
-        self._from_others = (np.eye(n) - 1.0 / n) * (n / max(n - 1.0, 1.0))
+        self.hold(np.ones(n, dtype=bool))
         columns = moving_columns(cell)
         self._starts = np.cumsum([0, *(len(c) for c in columns[:-1])]).tolist()
         #: The joints that move the tools, arm by arm.
@@ -125,6 +126,10 @@ class Supervision:
         self._numbers, self._first_numbers = _numbers_of(cell, columns)
         self.servos: ServoWatch | None = None
         self.reset()
+
+    def hold(self, holds: Flags) -> None:
+        """Say which arms hold the object from now on (N,): these are compared with each other."""
+        self._holds, self._from_others = holds, from_others(holds)
 
     def reset(self) -> None:
         """Forget."""
@@ -137,6 +142,7 @@ class Supervision:
             stalled=np.zeros(n, dtype=bool),
             widest=np.zeros(n),
             repeated=np.zeros(n, dtype=np.intp),
+            held=np.zeros(n, dtype=bool),
             past=deque(maxlen=self._kept),
             drift=Drift(n, self._options.let_in),
             lag=LagWatch(self._grasp, self._at_grasps.item(5, 5)),
@@ -224,6 +230,8 @@ class Supervision:
         if len(away) > 1 and o.slow_from is not None:
             at_grasps = (away if servos is None else away + servos.shift) @ self._at_grasps
             lost = self._keep_where_lost(measured, at_grasps)
+            if (self._holds != s.held).any():
+                self._take_over()
             self._watch_distances(x_commanded, at_grasps, lost, dt, result, rigid=servos is not None)
         if servos is not None:
             fall_gently(result, s.cap, dt)
@@ -233,7 +241,8 @@ class Supervision:
             self._watch_stall(x_measured, x_commanded, dt, result, rigid=servos is not None)
         if self._stress is not None:
             self._watch_stress(self._stress, measured, commanded, dt, result)
-        if twist is not None and self.servos is None and self._stress is None and o.slow_from is not None:
+        several = self._holds.sum() > 1
+        if several and twist is not None and self.servos is None and self._stress is None and o.slow_from is not None:
             self._watch_lag(twist, dt, result)
         if o.recovery_time > 0.0:
             allowed = s.cap + dt / o.recovery_time
@@ -247,7 +256,14 @@ class Supervision:
             return Watch.holding("the arms hold", Cause.CONTACT)
         return result
 
-    def _keep_where_lost(self, measured: Array, away: Array) -> npt.NDArray[np.bool_]:
+    def _take_over(self) -> None:
+        """Other arms hold than in the sample before."""
+        s, now = self._s, self._holds
+        s.lag.take_over(mean_where(now, s.deviation) - mean_where(s.held, s.deviation))
+        s.drift.take_over(s.deviation, s.held, now)
+        s.held = now
+
+    def _keep_where_lost(self, measured: Array, away: Array) -> Flags:
         """Arms that have lost this sample (N,): their numbers equal the sample before to the last bit.
 
         Their rows of ``away`` become those of the last sample.
@@ -263,16 +279,16 @@ class Supervision:
         return lost
 
     def _watch_distances(
-        self, commanded: Array, away: Array, lost: npt.NDArray[np.bool_], dt: float, result: Watch, *, rigid: bool
+        self, commanded: Array, away: Array, lost: Flags, dt: float, result: Watch, *, rigid: bool
     ) -> None:
         """Deviation of each arm from the mean of the others that slows or stops the object."""
         o, s = self._options, self._s
         assert o.slow_from is not None
         keep = o.filter_time / (o.filter_time + dt)
         s.deviation = s.deviation + (1.0 - keep) * (away - s.deviation)
-        passed = math.sqrt(float(self._from_others[0, 0]) * (1.0 - keep) / (1.0 + keep))  # share of the noise
+        passed = math.sqrt((1.0 - keep) / (1.0 + keep))  # share of the noise
         s.samples = min(s.samples + 1.0, NOISE_TIME / dt)
-        noise = passed * noise_seen(away, s.away, s.step, s.noise, s.samples)
+        noise = passed * noise_seen(away, s.away, s.step, s.noise, s.samples, self._holds)
         apart = out_of_step = self._from_others @ s.deviation
         if o.let_in > 0.0 and rigid:
             out_of_step = s.drift.followed(apart, commanded, dt)
@@ -281,7 +297,7 @@ class Supervision:
         self._count_far(away, self._from_others @ away - (apart - out_of_step), lost)
         distances = np.linalg.norm(out_of_step, axis=1)
         worst = float(distances.max()) - o.noise_margin * noise
-        s.quiet = o.noise_margin * noise / math.sqrt(len(away)) + max(worst, 0.0)
+        s.quiet = o.noise_margin * noise / math.sqrt(max(self._holds.sum(), 1)) + max(worst, 0.0)
         if worst <= o.slow_from or s.samples < FEW_SAMPLES:
             return
         # Two arms are always equally far from each other: blame the arm that is farther from its command.
@@ -293,12 +309,12 @@ class Supervision:
         result.rate_cap = 0.0 if result.hold else (o.hold_from - worst) / (o.hold_from - o.slow_from)
         result.reason = f"arm {self._cell.arm_names[arm]} is {1e3 * distances[arm]:.2f} mm out of step with the others"
 
-    def _count_far(self, away: Array, unfiltered: Array, lost: npt.NDArray[np.bool_]) -> None:
+    def _count_far(self, away: Array, unfiltered: Array, lost: Flags) -> None:
         """Count the samples in a row in which an arm is as far from the others as a fault needs.
 
         A sample that the arm farthest from its command has lost says nothing.
         """
-        if not lost[np.linalg.norm(away, axis=1).argmax()]:
+        if not lost[np.where(self._holds, np.linalg.norm(away, axis=1), -1.0).argmax()]:
             far = np.square(unfiltered).sum(axis=1).max() >= self._options.fault_from**2
             self._s.far = self._s.far + 1 if far else 0
 
@@ -362,10 +378,10 @@ class Supervision:
     def _watch_lag(self, twist: Array, dt: float, result: Watch) -> None:
         """Arms that are where no lag would put them all slow the object, and hold it."""
         s = self._s
-        if len(s.deviation) < 2:
-            return
         velocity, settled = twist @ self._at_grasps, s.samples >= FEW_SAMPLES
-        excess, arm = s.lag.look(s.deviation.mean(axis=0), velocity, s.quiet, dt, settled=settled)
+        excess, arm = s.lag.look(
+            mean_where(self._holds, s.deviation), velocity, s.quiet, dt, holds=self._holds, settled=settled
+        )
         cap = excess_cap(excess)
         if arm >= 0 and cap < result.rate_cap:
             reason = OFF_LAG.format(arm=self._cell.arm_names[arm], mm=1e3 * excess)
@@ -374,7 +390,7 @@ class Supervision:
     def _watch_stress(self, stress: StressWatch, measured: Array, commanded: Array, dt: float, result: Watch) -> None:
         """Arms that press too hard on the object, or soon will, hold it until they press less than half as hard."""
         limit, s = self._options.force_limit, self._s
-        stress.read(measured, commanded, dt)
+        stress.read(measured, commanded, dt, self._holds)
         most = int(stress.forces.argmax())
         force = float(stress.forces[most])
         soon = stress.soon(most, limit)

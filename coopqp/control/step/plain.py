@@ -101,6 +101,7 @@ class PlainLoop:
             self._chain.place(self._fixed)
             self._chain.apart = ()
             self._shares[:] = self._usual_shares
+            self._supervision.hold(np.ones(len(self.cell), dtype=bool))
             self.state.latched = 0.0
         self._posture.take(self._on_path.posture)
         self._preview = None
@@ -274,7 +275,9 @@ class PlainLoop:
         if self._motion is not None:
             self._chain.place(self._motion.placements(clock))
             self._chain.apart = self._motion.apart(clock)
-            self._shares[:] = self.options.common_error.shares_of(self.cell, self._motion.holds(clock))
+            holds = self._motion.holds(clock)
+            self._shares[:] = self.options.common_error.shares_of(self.cell, holds)
+            self._supervision.hold(np.array(holds))
 
     def _along(self, pose: pin.SE3, ahead: pin.SE3, clock: float, span: float) -> Array:
         """ν of each arm (N, 6), or of all (6,) where grasps are fixed: with M_k its tool's motion on the object,

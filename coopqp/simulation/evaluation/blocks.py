@@ -4,18 +4,14 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import TypeAlias
 
 import numpy as np
-import numpy.typing as npt
 
 from coopqp.control.interface import ControlStep, Status
 from coopqp.model.cell import RobotCell
 from coopqp.simulation.evaluation.violations import Violation, ViolationKind
 from coopqp.simulation.recording.recording import Recording
-from coopqp.spatial import Array
-
-Flags: TypeAlias = npt.NDArray[np.bool_]
+from coopqp.spatial import Array, Flags
 
 
 @dataclass(frozen=True, eq=False)
