@@ -99,6 +99,8 @@ class QPController(OperatorCalls):
         self._loop = make_loop(cell, grasp, dt=self.dt, options=run_by, constraints=self._checked)
         self.kernel, self.solver = self._loop.kernel, self._loop.solver.name
         self._operator = Operator(cell, grasp, self._loop, path, dt=self.dt, options=self.options)
+        if not isinstance(self._loop, PlainLoop):
+            self._loop.take_look(self._look)
         self._started = self._outside = self._minded = False
         #: By how much the tools are elsewhere on the object than the grasp says (N, 6); None if they are not.
         self._shift: Array | None = None
@@ -152,7 +154,6 @@ class QPController(OperatorCalls):
 
     def _find_fast_step(self) -> None:
         operator = self._operator
-        self._glances = operator.glances
         #: The core's own step, where nothing needs Python.
         self._fast: Callable[[Any, Any], ControlStep | None] | None = None
         if (
@@ -163,7 +164,7 @@ class QPController(OperatorCalls):
             and operator.quiet
             and (not self.constraints or self._checked.certified is not None)
         ):
-            self._fast = self._glancing() if self._glances else self._loop.step
+            self._fast = self._loop.step
         if self._waiting:
             self._fast = None
 
@@ -577,7 +578,7 @@ class QPController(OperatorCalls):
         else:
             step = self._loop.careful_step(q_measured, dt)
         operator.tell(step)
-        ended = operator.glances and operator.passed(step)  # on the way that this step has gone, which may be new
+        ended = operator.passed(step)  # on the way that this step has gone, which may be new
         if self._outside:  # it started there: say so until it is mended
             off_path = step.status is Status.OFF_PATH or step.status in (Status.HOLDING, Status.FAULT)
             by_hand = off_path or step.status is Status.JOGGING
@@ -592,24 +593,9 @@ class QPController(OperatorCalls):
             self._fast = None
         return step
 
-    def _glancing(self) -> Callable[[Any, Any], ControlStep | None]:
-        """The core's own step, and a moment's look after it."""
-        make, operator = self._loop.step, self._operator  # type: ignore[union-attr]
-
-        def glancing(q_measured: Any, dt: Any) -> ControlStep | None:
-            step: ControlStep | None = make(q_measured, dt)
-            left = operator.looks_in
-            if left > 1:
-                operator.looks_in = left - 1
-            elif step is not None and operator.passed(step):
-                self._fast = None
-            return step
-
-        return glancing
-
-    def look_at(self, step: ControlStep) -> None:
-        """After each step of the core's own: note what an operator's way needs."""
-        if self._glances and self._operator.passed(step):
+    def _look(self, step: ControlStep) -> None:
+        """At a step of the core's own, where that is due: note what an operator's way needs."""
+        if self._operator.look(step):
             self._fast = None
 
     # -- copies ----------------------------------------------------------------------------------------------------

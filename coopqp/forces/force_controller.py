@@ -291,7 +291,6 @@ class ForceController(OperatorCalls):
             if step is None:
                 return self._finish()
             if step is not False:
-                self._qp.look_at(step)
                 return step
         return self._slow(q_measured, wrenches, dt)
 

@@ -14,11 +14,12 @@
 enum Held {
     OWN_PATH, BOUND_KNOT, EVADE, SURVEY_AHEAD, CLEAR, FURTHER_ROWS, TIGHTENED, SURVEY_HERE, /* put numbers into the memory */
     TELL,                                                                    /* of a step that forces say something of */
+    LOOK,                                                                    /* at a step, where that is due */
     STEP_TYPE, CONTEXT, STATUS_NAMES,
     OBJECTS
 };
 static const char *const HELD[OBJECTS] = {"own_path", "bound_knot", "evade", "survey_ahead", "clear", "further_rows",
-                                          "tightened", "survey_here", "tell", "step_type", "context", "status_names"};
+                                          "tightened", "survey_here", "tell", "look", "step_type", "context", "status_names"};
 
 struct Field {
     const char *name;
@@ -41,6 +42,7 @@ struct BoundCore : Core {
     unsigned long stepper = 0;   /* the thread that made the last step; 0 for none */
     int entered = 0;             /* how often it has entered and not left */
     bool handed = false;         /* a step is left open: the next entry is the same one's */
+    long looks_in = 1;           /* steps until a look is due */
     std::optional<nb::python_error> interrupt; /* until the call ends */
 
     /* The gaps after fields are closed to everybody, or open. */
@@ -361,10 +363,19 @@ static nb::object command(BoundCore &self) {
     return nb::none();
 }
 
+/* Count a step, and let Python look at it where that is due; at one that is left open the next time. */
+static nb::object looked_at(BoundCore &self, nb::object made) {
+    if (self.looks_in > 1)
+        self.looks_in--;
+    else if (!self.handed && self.objects[LOOK])
+        self.objects[LOOK](made);
+    return made;
+}
+
 static nb::object step(BoundCore &self, const InOrNone &q, const Maybe &dt) {
     Stepping here(self);
     observe(self, q, dt);
-    return command(self);
+    return looked_at(self, command(self));
 }
 
 static int propose(BoundCore &self, long rows, bool again) {
@@ -464,10 +475,11 @@ static nb::object step_minding(BoundCore &self, nb::handle memory, const InOrNon
     self.run<&Arithmetic::mind>(felt, length);
     observe(self, q, dt);
     nb::object made = command(self);
-    if (self.handed) return made;
-    self.run<&Arithmetic::minded>();
-    if (m->why != NOTHING_MORE) self.objects[TELL](made);
-    return made;
+    if (!self.handed) {
+        self.run<&Arithmetic::minded>();
+        if (m->why != NOTHING_MORE) self.objects[TELL](made);
+    }
+    return looked_at(self, std::move(made));
 }
 
 /* -- least-distance programs by themselves --------------------------------------------------------------------------- */
@@ -504,6 +516,7 @@ void bind_step(nb::module_ &m) {
         .def("fields", fields_of)
         .def("bind", bind)
         .def("step", step) /* observe, propose, commit; None if the answer is open */
+        .def_rw("looks_in", &BoundCore::looks_in)
         .def("hold", enter)
         .def("release", leave)
         .def("steps_here", [](BoundCore &self) { self.stepper = PyThread_get_thread_ident(); })

@@ -125,6 +125,20 @@ class CompiledLoop:
         self._said: dict[int, str] = {}
         self._held_by = Cause.INPUT
 
+    @property
+    def looks_in(self) -> int:
+        """Steps until ``look`` is due, see :meth:`take_look`."""
+        steps: int = self._core.looks_in
+        return steps
+
+    @looks_in.setter
+    def looks_in(self, steps: int) -> None:
+        self._core.looks_in = steps
+
+    def take_look(self, look: Callable[[ControlStep], None]) -> None:
+        """Let the core's own step count, and call ``look`` with a step where it is due."""
+        self._core.bind(look=look)
+
     # -- starting --------------------------------------------------------------------------------------------------
 
     def follow(self, path: ObjectPath, way: Way | None = None) -> None:

@@ -189,9 +189,13 @@ class Operator:
                 self._goes_on = not self.take(ahead, clock)
 
     @property
-    def glances(self) -> bool:
-        """Whether each step has to be looked at for a moment."""
-        return self.trail is not None or not self.way.whole or self._contact_ahead < math.inf
+    def looks_in(self) -> int:
+        """Steps until the next look is due: the loop's own step counts them."""
+        return self._loop.looks_in
+
+    @looks_in.setter
+    def looks_in(self, steps: int) -> None:
+        self._loop.looks_in = steps
 
     @property
     def _contact_ahead(self) -> float:
@@ -432,10 +436,12 @@ class Operator:
 
     def passed(self, step: ControlStep) -> bool:
         """Count a step, and have a look where one is due; whether the end of a section is reached."""
-        self.looks_in -= 1
-        return self.looks_in <= 0 and self._look(step)
+        if self.looks_in > 1:
+            self.looks_in -= 1
+            return False
+        return self.look(step)
 
-    def _look(self, step: ControlStep) -> bool:
+    def look(self, step: ControlStep) -> bool:
         """Note the trail; whether the end of a section is reached. The next look is due before it can be."""
         way, loop, trail = self.way, self._loop, self.trail
         if trail is not None and way.sense > 0 and trail.due(self._looked):

@@ -69,6 +69,7 @@ class PlainLoop:
         lock = Lock()
         self.hold, self.release = lock.hold, lock.release
         self.steps_here, self.steps_elsewhere = lock.steps_here, lock.steps_elsewhere
+        self.looks_in = 1  # steps until the operator looks
         self.constraints = constraints
         self._chain, self._ahead_chain, self._box = Chain(cell, grasp), Chain(cell, grasp), VelocityBox(cell)
         self._ahead_shift = np.zeros((len(cell), 6))
