@@ -6,7 +6,6 @@ and ways that were asked for, not from the program's own numbers.
 
 from __future__ import annotations
 
-import importlib.util
 import itertools
 import time
 from collections.abc import Callable, Iterator
@@ -15,7 +14,15 @@ from dataclasses import replace
 import numpy as np
 import pinocchio as pin
 
-from coopqp import ControlStep, Grasp, LinePath, QPController, RobotCell, Status, check_path, simulate
+from coopqp import (
+    ControlStep,
+    Grasp,
+    LinePath,
+    QPController,
+    RobotCell,
+    Status,
+    check_path,
+)
 from coopqp.control import couple
 from coopqp.planning import time_program
 from coopqp.programs import Phase, Program, Role, Slides, Travels, Turns, Waits
@@ -31,8 +38,8 @@ from coopqp.scenarios import (
     positioner,
     robot_arm,
 )
-from coopqp.simulation import PhysicsPlant
 from promise_cases import Promise
+from promise_cases.regrasps import in_engine
 
 _DT, _ACCELERATION = 0.002, 5.0
 _PIN = np.array([0.0, 0.8, 0.0])
@@ -317,37 +324,6 @@ def _planned(quick: bool) -> Iterator[Promise]:
     yield Promise("run of a planned program: chain, path", 1e6 * broken, 0.5, "µm")
 
 
-def _in_engine(quick: bool) -> Iterator[Promise]:
-    """Largest force of an arm on the object after an arm has attached, over the largest before it let go."""
-    del quick
-    if importlib.util.find_spec("mujoco") is None:
-        return
-    task = _lift()
-    X, here = task.grasp.T_object_tool[2], task.path.pose(0.0)
-    up = LinePath.displaced(here, translation=(0.0, 0.0, 0.1), duration=2.0)
-    on = LinePath.displaced(up.goal, translation=(0.0, 0.0, 0.1), duration=2.0)
-    over = {"slave_2": Travels(to=pin.SE3(X.rotation, X.translation + np.array([-0.1, 0.0, 0.0])))}
-    phases = [Phase("up", path=up), Phase("over", arms=over, duration=2.0), Phase("on", path=on)]
-    three = replace(task, path=Program(task.cell, task.grasp, phases))
-    for name, one in (("3 → 2 → 3", three), ("hand_over, the leader under way", hand_over())):
-        assert one.path.grasps is not None
-        (leaves, attaches), plant = one.path.grasps.changes, PhysicsPlant.of(one)
-        before = after = 0.0
-
-        def see(step: ControlStep, plant: PhysicsPlant = plant, ends: tuple[float, float] = (leaves, attaches)) -> None:
-            nonlocal before, after
-            most = float(np.linalg.norm(plant.wrenches()[:, :3], axis=1).max())
-            if step.clock_next <= ends[0]:
-                before = max(before, most)
-            elif step.clock >= ends[1]:
-                after = max(after, most)
-
-        controller = QPController(one.cell, one.grasp, one.path, dt=0.004)
-        recording = simulate(controller, plant, q_start=one.q_start, observe=see, settle=0.5)
-        ratio = after / before if recording.finished else np.inf
-        yield Promise(f"{name} in the engine: peak force after attaching, over before", ratio, 1.3, "")
-
-
 def _pins(quick: bool) -> Iterator[Promise]:
     del quick
     task = five_joint_pins()
@@ -393,5 +369,5 @@ def _costs(quick: bool) -> Iterator[Promise]:
 
 def promises(quick: bool) -> Iterator[Promise]:
     """Promises about programs."""
-    for part in (_pliers, _wide, _tools, _coupled, _regrasp, _gates, _checked, _planned, _in_engine, _pins, _costs):
+    for part in (_pliers, _wide, _tools, _coupled, _regrasp, _gates, _checked, _planned, in_engine, _pins, _costs):
         yield from part(quick)

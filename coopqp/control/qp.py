@@ -147,7 +147,7 @@ class QPController(OperatorCalls):
                 "QPController: path",
                 'Build the controller with this path, or with QPOptions(kernel="plain").',
             )
-        if self._shift is not None and np.any(self._shift):
+        if self._shift is not None and np.any(self._shift) and not (self._minded and grasps.holding_fixed):
             raise InvalidInputError(
                 "its tools move on the object, and the grasps were shifted", "QPController: path", "Shift them back."
             )
@@ -370,6 +370,22 @@ class QPController(OperatorCalls):
     def shares(self) -> Array:
         """Share of each arm in the object's pose (N, 6), by ``options.common_error``."""
         return self.options.common_error.shares(self.cell)
+
+    def shares_while(self, holds: Sequence[bool]) -> Array:
+        """The same while only some arms hold the object (N,)."""
+        return self.options.common_error.shares_of(self.cell, holds)
+
+    @property
+    def held(self) -> tuple[GraspMotion, float, float] | None:
+        """How tools move on the object and who holds it, on the way that is followed; its clock, and that up to which
+        changes are taken [s]. None where all grasps are fixed.
+        """
+        return self._loop.held
+
+    @property
+    def sense(self) -> int:
+        """1 along the program, −1 back along it, 0 away from it, by hand."""
+        return self._operator.way.sense
 
     @property
     def override(self) -> float:
@@ -625,7 +641,7 @@ class QPController(OperatorCalls):
         self._loop.restore(memory)
         self._find_fast_step()
         if shift is not None:
-            self.shift_grasp(shift)
+            self.take_shift(shift)()
 
     def __copy__(self) -> QPController:
         state = self.__getstate__()

@@ -16,6 +16,8 @@ stiffness of the grip ``G = C⁻¹ − C⁻¹ Σᵀ (Σ C⁻¹ Σᵀ)⁻¹ Σ C�
 force that is minded decays with T (all of them minded, that is C w_s again). C alone leaves forces that take up to 250
 times as long, where the master keeps its place: its own compliance is missing then.
 
+Along a program the arms that hold the object do this alone, see :mod:`coopqp.forces.holding`.
+
 The loop is 1 / (T s) · exp(−d s). It is damped well if (d + dt) / T is at most 1/2, doubts about the servos included.
 """
 
@@ -29,19 +31,20 @@ import numpy as np
 import pinocchio as pin
 
 from coopqp.control.core import minding_of
+from coopqp.control.core.allow_plain import BY_RELEASE
 from coopqp.control.core.relax_plain import gives_way, minding_scalars, minding_size, minding_views
 from coopqp.control.monitoring.stress import servo_wrenches
 from coopqp.errors import InvalidInputError
 from coopqp.forces.force_options import ForceOptions
-from coopqp.forces.frictional_contacts import palm_rows, pressing
-from coopqp.forces.internal import load_shares, per_joint
+from coopqp.forces.holding import Holding, Holds, Moved, SharesOf
+from coopqp.forces.internal import per_joint
 from coopqp.forces.presses import of_grip
 from coopqp.forces.sensor_check import SensorCheck
 from coopqp.model.cell import RobotCell
 from coopqp.model.chain import Chain
 from coopqp.model.grasp import Grasp
 from coopqp.native.constants import LOOK_EVERY
-from coopqp.spatial import Array, for_twists, skew
+from coopqp.spatial import Array, for_twists
 
 #: Smaller shares of a stiffness count as 0.
 _LEAST_PART = 1e-9
@@ -87,7 +90,7 @@ class Relaxation:
         cell, grasp: the arms, and how they are told to hold the object.
         options: settings.
         dt: nominal length of a step [s].
-        shares: s, share of each arm in the object's pose (N, 6).
+        shares_of: s, share of each arm in the object's pose (N, 6) while some of them hold it (N,).
         kernel: the code of a step, ``"compiled"`` or ``"plain"``.
 
     Attributes:
@@ -96,6 +99,7 @@ class Relaxation:
         internal: internal wrenches of the arms on the object beside the squeeze that is asked for, filtered (N, 6)
             [N, N·m], in the object frame; the next step changes it in place.
         seen: the last wrenches at the tools (N, 6) [N, N·m]; the next step changes it in place.
+        holding: which arms hold the object, and what follows from that.
         shift: d, the motion by which each grasp has given way, in the object frame (N, 6) [m, rad]; the next step
             changes it in place.
         silent: time since each arm's last wrench (N,) [s]; the next step changes it in place.
@@ -105,7 +109,7 @@ class Relaxation:
     """
 
     def __init__(
-        self, cell: RobotCell, grasp: Grasp, options: ForceOptions, *, dt: float, shares: Array, kernel: str
+        self, cell: RobotCell, grasp: Grasp, options: ForceOptions, *, dt: float, shares_of: SharesOf, kernel: str
     ) -> None:
         self.options, self._dt, n = options, dt, len(cell)
         if options.stiffness is None:
@@ -117,42 +121,18 @@ class Relaxation:
                 "ForceOptions",
                 f"Give a relax_time of at least {gain / _LARGEST_GAIN * options.relax_time:.3g} s.",
             )
-        self._cell, self._grasp, self._chain = cell, grasp, Chain(cell, grasp)
+        self._cell, self._chain = cell, Chain(cell, grasp)
         self._softness = 1.0 / per_joint(options.stiffness, cell.nv, "ForceOptions: stiffness")
-        self._to_object, self._load_shares = load_shares(grasp)
-        total = np.tile(np.eye(6), n)
+        self.holding = Holding(cell, grasp, options, shares_of)
         (self._relax, self._allow), self.memory = minding_of(kernel), np.zeros(minding_size(n))
         self.scalars = minding_scalars(self.memory)
         self._put_settings()
-        views = minding_views(self.memory, n)
+        views = self._views = minding_views(self.memory, n)
         self.internal, self.shift, self.silent = views["internal"], views["shift"], views["silent"]
         self.seen, self._yields, self._compliances = views["seen"], views["yields"], views["compliances"]
         self._held, self._reference = views["held"], views["reference"]
-        # The wrenches that count, in the tools' axes. Palms answer with the twists of the whole wrench, so that they
-        # keep their real places in the other directions.
-        felt = np.zeros((6 * n, 6 * n))
-        for k, (X, mind) in enumerate(zip(grasp.T_object_tool, options.minded(n), strict=True)):
-            own = slice(6 * k, 6 * k + 6)
-            felt[own, own] = (X.actionInverse.T * mind) @ X.action.T
-        views["internal_of"][:] = felt @ (np.eye(6 * n) - self._load_shares @ total) @ self._to_object
-        if options.palms is not None:
-            press = options.squeeze * pressing(options.palms)
-            views["target"][:] = (views["internal_of"] @ press.ravel()).reshape(-1, 6)
-            views["squeezed"][:], views["palms"][:] = views["target"], palm_rows(options.palms)
-        self._put_load(views["unfed_of"], views["carries"], total)
-        #: F, where arms keep their places in some directions.
-        self._felt_part = None if options.palms is not None or options.minded(n).all() else felt
+        self._put_load()
         self._starting = self.memory.copy()
-        #: Maps displacements of the arms to displacements of their grasps.
-        self._relative = np.eye(6 * n) - np.tile(np.hstack([np.diag(s) for s in shares]), (n, 1))
-        if options.palms is not None:  # each arm makes up for what its own servos yield: the object stays where it is
-            self._relative = np.eye(6 * n)
-        points = np.array([X.translation for X in grasp.T_object_tool])
-        inward = np.concatenate([points.mean(axis=0) - points, np.zeros_like(points)], axis=1)
-        moves = self._relative if self._felt_part is None else self._relative @ self._felt_part.T
-        inward = (moves @ inward.ravel()).reshape(-1, 6)
-        #: How the grasps move where the arms press: towards each other.
-        self._inward = inward / max(float(np.linalg.norm(inward[:, :3], axis=1).max()), 1e-9)
         self.begin(np.zeros((n, 6)))
 
     def _put_settings(self) -> None:
@@ -165,17 +145,14 @@ class Relaxation:
         m.pressed_below = _PRESSED * o.squeeze if palms else math.inf
         m.move_below = max(o.move_below, 2.0 * o.dead_band, _PRESSED * o.squeeze)
 
-    def _put_load(self, unfed_of: Array, carries: Array, total: Array) -> None:
-        """What the drives are fed forward of the wrenches: the payload's weight, or the sum of all wrenches."""
+    def _put_load(self) -> None:
+        """What the drives are fed forward: the payload's weight, or the sum of all wrenches."""
         payload, m = self.options.payload, self.scalars
         m.rigid = self.options.palms is None
         m.contact_limit = math.inf
         if payload is None:
-            unfed_of[:] = (np.eye(len(total.T)) - self._load_shares @ total) @ self._to_object
             return
-        unfed_of[:] = self._to_object
-        minding_views(self.memory, len(self._cell))["centre"][:] = payload.centre
-        carries[:] = self._load_shares @ np.vstack([np.eye(3), skew(payload.centre)])
+        self._views["centre"][:] = payload.centre
         weight = -payload.mass * self._cell.model.gravity.linear
         m.weight_x, m.weight_y, m.weight_z = weight
         m.load_mass, m.contact_late = payload.mass, self.options.delay + self._dt
@@ -190,7 +167,9 @@ class Relaxation:
         n, m = len(self._cell), self.scalars
         asked = m.asked
         self.memory[:] = self._starting
+        self.holding.put(self._views, 1.0)
         m.asked, m.stiffer, self.shift[:], self._held[:] = asked, 1.0, shift, shift
+        m.look_at = math.inf
         m.force_cap, m.pressed_with = 1.0, self.options.squeeze
         m.corrects = self.options.palms is not None
         #: One over Kp, with the arms' stiffness against each other as it is found.
@@ -201,12 +180,61 @@ class Relaxation:
 
     def kept(self) -> dict[str, Any]:
         """The state of a copy."""
-        return {"memory": self.memory.copy(), **{name: getattr(self, name) for name in _VARYING}}
+        own = {name: getattr(self, name) for name in _VARYING}
+        return {"memory": self.memory.copy(), "holding": self.holding.kept(), **own}
 
     def restore(self, kept: dict[str, Any]) -> None:
         """Go on from what :meth:`kept` returned."""
         self.memory[:] = kept["memory"]
+        self.holding.restore(kept["holding"])
+        self._chain.place(self.holding.moved)
         vars(self).update({name: copy.deepcopy(kept[name]) for name in _VARYING})
+
+    # -- who holds the object ------------------------------------------------------------------------------------
+
+    def start_with(self, holds: Holds, bears: Holds, moved: Moved) -> None:
+        """These arms hold the object at the start (N,), and bear its load; :meth:`begin` follows."""
+        self.holding.start(holds, bears, moved)
+        self._chain.place(self.holding.moved)
+
+    def take_holding(self, holds: Holds, bears: Holds, moved: Moved, q: Array) -> None:
+        """Other arms may hold the object from now on (N,), or bear its load, commanded at ``q`` (nq,).
+
+        The grasp of an arm that attaches begins where its tool is; what the path asks of an arm that lets go is
+        forgotten, and that of the others is counted from their common motion.
+        """
+        before = np.array(self.holding.holds)
+        if not self.holding.take(holds, bears, moved):
+            return
+        if holds == tuple(before):
+            return
+        self._chain.place(self.holding.moved)
+        for k in np.flatnonzero(before != np.array(holds)):
+            self._views["freed"][k], self.internal[k], self._views["felt"][k] = 0.0, 0.0, 0.0
+            if holds[k]:
+                self._held[k] = self.shift[k]
+        drift = self._views["drift"]
+        drift[:] = (self.holding.relative @ drift.ravel()).reshape(-1, 6)
+        self.scalars.relax_ease = 0.0
+        self._put_holding()
+        self.look(q)
+
+    def hand_on(self, dt: float) -> None:
+        """Let the load go over to the arms that bear it, for a time [s]."""
+        if self.holding.hand_on(dt):
+            self._put_holding()
+
+    def allow_release(self, k: int) -> float:
+        """The largest rate of the object ahead of a release of arm k: none while it presses on the object."""
+        m = self.scalars
+        force = float(np.linalg.norm(self.internal[k, :3]))
+        if self.options.palms is None and force > m.move_below and m.allowed > 0.0:
+            m.why, m.why_arm, m.allowed = BY_RELEASE, k, 0.0
+        return float(m.allowed)
+
+    def _put_holding(self) -> None:
+        o = self.options
+        self.holding.put(self._views, self.scalars.pressed_with / o.squeeze if o.palms is not None else 1.0)
 
     @property
     def size(self) -> float:
@@ -240,7 +268,7 @@ class Relaxation:
 
     def contact(self) -> str:
         """The force and the direction of what touches the object, in words."""
-        force = minding_views(self.memory, len(self._cell))["push"][2]
+        force = self._views["push"][2]
         size = float(np.linalg.norm(force))
         way = force / max(size, 1e-9)
         k = int(np.abs(way).argmax())
@@ -275,10 +303,11 @@ class Relaxation:
         """
         R = self.look(measured)
         turned = self._chain.twists(pin.difference(self._cell.model, measured, commanded)) @ R
-        off = self._to_object @ self.seen.ravel() - servo_wrenches(self._compliances, turned).ravel()
+        off = self.holding.to_object @ self.seen.ravel() - servo_wrenches(self._compliances, turned).ravel()
+        off *= np.repeat(self.holding.holds, 6)
         carried = self._carried(R) if self.options.palms is None else None  # palms do not carry it yet
         load = off.reshape(-1, 6).sum(axis=0) if carried is None else carried
-        return (off - self._load_shares @ load).reshape(-1, 6)
+        return (off - self.holding.load_shares @ load).reshape(-1, 6)
 
     def _carried(self, R: Array) -> Array | None:
         """The load that the drives carry by feed-forward, in the object frame (6,) [N, N·m]; None if it is not told."""
@@ -291,12 +320,12 @@ class Relaxation:
     def sensor_check(self, q: Array, dt: float) -> SensorCheck | None:
         """The check of the sensors by presses from rest at ``q`` (nq,); None where arms cannot press all ways."""
         o = self.options
-        alone = len(self._cell) < 2
-        if alone or not o.presses or o.palms is not None or self._felt_part is not None or self._chain.deficient:
+        some = len(self._cell) < 2 or not self.holding.everywhere
+        if some or not o.presses or o.palms is not None or self.holding.in_part or self._chain.deficient:
             return None
         return SensorCheck(
             self._cell,
-            self._grasp,
+            self.holding.grasp,
             softness=self._softness,
             q=q,
             load=self._carried(self.look(q)),
@@ -307,15 +336,15 @@ class Relaxation:
     def look(self, q: Array) -> Array:
         """Look at the compliances at ``q``. Returns blockdiag(R, R) of the object (6, 6)."""
         chain = self._chain
-        O = chain.carried(q)[0]
+        O, relative = chain.carried(q)[self.holding.first], self.holding.relative
         chain.evaluate(q, about=O.translation)
         R = for_twists(O.rotation)
         self._compliances[:] = R.T @ chain.compliances(self._soft) @ R
-        if self._felt_part is not None:
-            self._yields[:] = self._relative @ yields_in_part(self._compliances, self._felt_part)
+        if self.holding.in_part:
+            self._yields[:] = relative @ yields_in_part(self._compliances, self.holding.felt, self.holding.holds)
         else:  # relative @ blockdiag(C)
             for k, own in enumerate(self._compliances):
-                self._yields[:, 6 * k : 6 * k + 6] = self._relative[:, 6 * k : 6 * k + 6] @ own
+                self._yields[:, 6 * k : 6 * k + 6] = relative[:, 6 * k : 6 * k + 6] @ own
         self.scalars.age = 0.0
         return R
 
@@ -339,12 +368,12 @@ class Relaxation:
         felt_none = _size(self.internal - self._base) < _PRESS and self._pressed < _PRESS_MOST
         if self._waited == 0.0 and (felt_none or self._pressed < _PRESS_LEAST):
             self._pressed += dt * _PRESS_SPEED
-            self.shift += dt * _PRESS_SPEED * self._inward
+            self.shift += dt * _PRESS_SPEED * self.holding.inward
             return False
         self._waited += dt
         if self._waited <= settled:
             return False
-        way = self._pressed * self._inward.ravel()
+        way = self._pressed * self.holding.inward.ravel()
         answer = felt - self._felt - self._pressing * self._grows
         if way.any():  # some arm minds forces towards the others
             self.scalars.stiffer = self.accepted(answer @ way / (way @ way))
@@ -392,8 +421,8 @@ class Relaxation:
             InvalidInputError: that is out of reach.
         """
         O = self._chain.carried(q)
-        errors = self._chain.errors(O, O[0])
-        shift: Array = (self._relative @ errors.ravel()).reshape(-1, 6)
+        errors = self._chain.errors(O, O[self.holding.first])
+        shift: Array = (self.holding.relative @ errors.ravel()).reshape(-1, 6)
         if self.options.palms is not None:  # they slide, and keep their places
             return shift if self.far(shift) < 1.0 else np.zeros_like(shift)
         if not self.far(shift) < 1.0:
@@ -410,9 +439,17 @@ class Relaxation:
         return shift
 
 
-def yields_in_part(compliances: Array, felt: Array) -> Array:
-    """Fᵀ (F G Fᵀ)⁺ F (6 N, 6 N), of the compliances C_k (N, 6, 6) and F (6 N, 6 N); see the module."""
-    G = of_grip(compliances)
+def yields_in_part(compliances: Array, felt: Array, holds: Holds | None = None) -> Array:
+    """Fᵀ (F G Fᵀ)⁺ F (6 N, 6 N), of the compliances C_k (N, 6, 6) and F (6 N, 6 N) of arms that hold (N,), or all.
+
+    See the module.
+    """
+    if holds is None or all(holds):
+        G = of_grip(compliances)
+    else:
+        held = np.repeat(holds, 6)
+        G = np.zeros_like(felt)
+        G[np.ix_(held, held)] = of_grip(compliances[list(holds)])
     return felt.T @ np.linalg.pinv(felt @ G @ felt.T, rcond=_LEAST_PART, hermitian=True) @ felt
 
 

@@ -12,7 +12,15 @@ import pinocchio as pin
 from coopqp.baselines.pseudo_inverse import PseudoInverseController
 from coopqp.checks import ArrayLike, as_options, as_scalar, require
 from coopqp.constraints.cause import Cause
-from coopqp.control.core.allow_plain import BY_CONTACT, BY_FRICTION, BY_REACH, BY_SENSOR, BY_STAGE, NOTHING_MORE
+from coopqp.control.core.allow_plain import (
+    BY_CONTACT,
+    BY_FRICTION,
+    BY_REACH,
+    BY_RELEASE,
+    BY_SENSOR,
+    BY_STAGE,
+    NOTHING_MORE,
+)
 from coopqp.control.core.relax_plain import (
     CHECKING,
     HEARD,
@@ -31,12 +39,15 @@ from coopqp.control.qp import QPController
 from coopqp.errors import InvalidInputError
 from coopqp.forces.admittance import Relaxation
 from coopqp.forces.force_options import ForceOptions
-from coopqp.forces.frictional_contacts import least_squeeze
-from coopqp.forces.load_sharing import LoadShare
+from coopqp.forces.holding import Holds, bearing, everywhere
+from coopqp.forces.palms_on_path import check_squeeze
 from coopqp.forces.sensor_check import SensorCheck
 from coopqp.forces.sensor_findings import SensorJudgement
 from coopqp.forces.wrist_sensor import SensorMaps
-from coopqp.paths.moving_grasps import refuse_motion
+from coopqp.native.constants import SAME_CLOCK, STILL_OBJECT
+from coopqp.paths.grasp_motion import HAND_OVER_S, GraspMotion
+from coopqp.paths.guarded import GuardedPath
+from coopqp.paths.moving_grasps import refuse_moving_holds
 from coopqp.paths.path import ObjectPath
 from coopqp.spatial import Array, Placement
 
@@ -50,10 +61,10 @@ _STAGES = (
 #: Steps beyond the time of the comparison after which a reason says what it waits for.
 _PATIENCE = 5
 #: Attributes that a step changes, beside the attributes of the relaxation and of the inner controller.
-_VARYING = ("_differences", "_compared", "_check", "_place", "_found", "_disturbed")
+_VARYING = ("_differences", "_compared", "_check", "_place", "_found", "_disturbed", "_leaves")
 
-#: What to do where arms let go or move on the object.
-_ONLY_FIXED = "Give a path whose grasps are fixed: forces are not watched where arms let go or move on the object."
+#: What to do where arms move on the object.
+_LET_GO = "Give a path whose arms let go before they move on it: forces relax between grasps that stay."
 
 
 @final
@@ -64,6 +75,9 @@ class ForceController(OperatorCalls):
     they are; they relax. Then the object moves, more slowly where an internal force grows. Three causes hold the
     object, and the reason names them: a sensor that does not agree with its servos, wrenches that do not come, and a
     grasp that cannot give way any further. :meth:`reset` ends the first two.
+
+    Along a program the arms that hold the object do so. One that lets go hands its load over before, and makes no
+    internal force until it attaches again, where its tool is then. No arm may move on the object while it holds it.
 
     A copy (``copy.copy``, ``copy.deepcopy``, pickle) goes on where the original stands.
 
@@ -78,7 +92,8 @@ class ForceController(OperatorCalls):
         needs_servos: true: :func:`coopqp.simulate` refuses torque-controlled drives, whose joints are no springs.
 
     Raises:
-        InvalidInputError: bad settings, also those with which forces would swing.
+        InvalidInputError: bad settings, also those with which forces would swing; or somewhere on the path an arm moves
+            on the object while it holds it, or palms lose it.
     """
 
     needs_wrenches = True
@@ -92,12 +107,12 @@ class ForceController(OperatorCalls):
         self._build(controller, as_options(ForceOptions, options, "ForceController: options"))
 
     def _build(self, controller: QPController | PseudoInverseController, options: ForceOptions) -> None:
-        refuse_motion(controller.path, "ForceController: controller", _ONLY_FIXED)
+        refuse_moving_holds(controller.path, "ForceController: controller", _LET_GO)
         self.controller, self.options = controller, options
         self.cell, self.grasp, self.dt = controller.cell, controller.grasp, controller.dt
         self.cell.refuse_shared("ForceController")
         self._relaxation = Relaxation(
-            self.cell, self.grasp, options, dt=controller.dt, shares=controller.shares, kernel=controller.kernel
+            self.cell, self.grasp, options, dt=controller.dt, shares_of=self._shares_of, kernel=controller.kernel
         )
         self._memory, self._scalars = self._relaxation.memory, self._relaxation.scalars
         self._scalars.asked = controller.override
@@ -105,28 +120,15 @@ class ForceController(OperatorCalls):
         self._maps = SensorMaps(self.cell, options.sensors) if options.sensors else None
         if self._maps is not None:
             self._maps.check()
-        self._check_squeeze()
+        check_squeeze(self.cell, self.grasp, self.path, options)
         self._shifted = controller.take_shift(self._relaxation.shift)
         #: The core's own step with wrenches, where it has one.
         self._minded = controller.take_minding(self._memory, self._tell)
         self._begin()
 
-    def _check_squeeze(self) -> None:
-        """Refuse palms that could not hold the object at rest along its path."""
-        o = self.options
-        if o.palms is None:
-            return
-        if o.payload is None:
-            raise InvalidInputError("palms without a payload", "ForceOptions", "Say what they hold.")
-        load, path = LoadShare(self.cell, self.grasp, o.payload, internal_force=o.squeeze), self.path
-        clocks = np.linspace(0.0, path.duration, 21) if path.known_ahead and np.isfinite(path.duration) else [0.0]
-        least = least_squeeze(o.palms, self.grasp, [load.wrench(path.pose(float(t)).rotation) for t in clocks])
-        if o.squeeze < least:
-            raise InvalidInputError(
-                f"the palms would lose the object: they press with {o.squeeze:g} N, and need {least:.1f} N at least",
-                "ForceOptions: squeeze",
-                f"Give {1.2 * least:.0f} N or more.",
-            )
+    def _shares_of(self, holds: Holds) -> Array:
+        """Shares in the object's pose (N, 6) while some arms hold it (N,)."""
+        return self.controller.shares if all(holds) else self._qp.shares_while(holds)
 
     def _begin(self) -> None:
         self._differences, self._compared = np.zeros((len(self.cell), 6)), 0
@@ -134,6 +136,8 @@ class ForceController(OperatorCalls):
         self._found: SensorJudgement | None = None
         self._disturbed = False
         self._place = self.shift
+        #: The next arm to let go, at rest: its index, and how far that is ahead on the object's clock [s].
+        self._leaves: tuple[int, float] | None = None
 
     # -- calls of the inner controller ---------------------------------------------------------------------------
 
@@ -197,8 +201,19 @@ class ForceController(OperatorCalls):
         """
         q = self.cell.at_rest(q, "ForceController.reset: q")
         held = q if commanded is None else self.cell.check_configuration(commanded, "ForceController.reset: commanded")
-        shift = self._relaxation.found(held)
-        self.controller.shift_grasp(shift)
+        clock = as_scalar(clock, "ForceController.reset: clock", open_low=False)
+        before, motion = self._relaxation.kept(), self.path.grasps
+        if motion is not None:
+            holds = motion.holds(clock)
+            self._relaxation.start_with(holds, bearing(holds, motion, clock, 1), motion.placements(clock))
+        elif not self._relaxation.holding.everywhere:
+            self._relaxation.start_with(*everywhere(len(self.cell)))
+        try:
+            shift = self._relaxation.found(held)
+        except InvalidInputError:
+            self._relaxation.restore(before)
+            raise
+        self.controller.take_shift(shift)()
         try:
             if clock == 0.0 and commanded is None:
                 self.controller.reset(q)
@@ -206,13 +221,18 @@ class ForceController(OperatorCalls):
                 self._qp.reset(q, commanded=commanded, clock=clock)
             self._relaxation.begin(shift)
             self._begin()
+            self._look_at_grips()
+        except BaseException:
+            self._relaxation.restore(before)
+            raise
         finally:
             self._shifted = self.controller.take_shift(self._relaxation.shift)
             self._shifted()
 
     def follow(self, path: ObjectPath, *, clock: float = 0.0) -> None:
         """Take another path; see :meth:`coopqp.QPController.follow`. It ends a hold, as :meth:`resume` does."""
-        refuse_motion(path, "ForceController.follow: path", _ONLY_FIXED)
+        refuse_moving_holds(path, "ForceController.follow: path", _LET_GO)
+        check_squeeze(self.cell, self.grasp, path, self.options)
         self._qp.follow(path, clock=clock)
         self._scalars.goes_on = 1.0
 
@@ -220,6 +240,10 @@ class ForceController(OperatorCalls):
         """Move the target of a servo path; see :meth:`coopqp.QPController.retarget`. It ends a hold, as resume does."""
         self._qp.retarget(T_world_object)
         self._scalars.goes_on = 1.0
+
+    def signal(self, name: str) -> None:
+        """A signal has come, such as "gripper closed"; see :meth:`coopqp.QPController.signal`."""
+        self._qp.signal(name)
 
     def set_override(self, share: float) -> None:
         """The largest rate of the object; see :meth:`coopqp.QPController.set_override`."""
@@ -304,6 +328,7 @@ class ForceController(OperatorCalls):
         w, length = self._taken(wrenches), self.controller.accepted_dt(dt)
         relaxation, stage = self._relaxation, self._stage
         gives = relaxation.gives
+        relaxation.hand_on(length)
         if gives and relaxation.aged:
             relaxation.look(self.controller.commanded)
         heard = relaxation.step(w, length)
@@ -317,13 +342,17 @@ class ForceController(OperatorCalls):
         if geared is not None:
             self._scalars.asked = geared
         share = relaxation.allow(length)
+        if self._leaves is not None and self._leaves[1] < 2.0 * length:
+            share = relaxation.allow_release(self._leaves[0])
         self._minded = self.controller.take_minding(self._memory, self._tell)  # another may have stepped it
         if share != self.controller.override:
             if isinstance(self.controller, QPController):
                 self.controller.lower_rate(share)
             else:
                 self.controller.set_override(share)
-        return self._made(self.controller.step(q_measured, dt=dt))
+        step = self._made(self.controller.step(q_measured, dt=dt))
+        self._look_at_grips()
+        return step
 
     def _made(self, step: ControlStep) -> ControlStep:
         m = self._scalars
@@ -334,6 +363,40 @@ class ForceController(OperatorCalls):
         if m.why != NOTHING_MORE:
             self._tell(step)
         return step
+
+    def _look_at_grips(self) -> None:
+        """See who holds the object now and who bears its load, and when that changes next."""
+        relaxation, m, program = self._relaxation, self._scalars, self.path.grasps
+        held = relaxation.holding
+        if program is None and held.everywhere:
+            m.look_at, self._leaves = np.inf, None
+            return
+        controller, clock = self._qp, 0.0
+        holds, bears, moved = everywhere(len(self.cell))
+        if program is not None and controller.held is not None:
+            motion, clock, taken = controller.held
+            holds = motion.holds(max(taken, 0.0))
+            bears = bearing(holds, program, controller.program_clock, controller.sense)
+            moved = held.moved if holds == held.holds else motion.placements(clock)
+        relaxation.take_holding(holds, bears, moved, controller.commanded)
+        left, after = self._next_change(program)
+        gone = [k for k in range(len(holds)) if holds[k] and not after[k]] if np.isfinite(left) else []
+        self._leaves = (gone[0], left) if gone and self._rests_in(left) else None
+        m.look_at = -np.inf if held.hands_over else clock + left - HAND_OVER_S - 3.0 * self.dt
+
+    def _next_change(self, program: GraspMotion | None) -> tuple[float, Holds]:
+        """How far the next change of contact is ahead on the object's clock [s], and who holds the object after it."""
+        now, sense = self._qp.program_clock, self._qp.sense
+        ahead = () if program is None or sense == 0 else program.changes
+        left = min((sense * (at - now) for at in ahead if sense * (at - now) > -SAME_CLOCK), default=np.inf)
+        if program is None or not np.isfinite(left):
+            return np.inf, ()
+        return left, program.holds(now + sense * (left + 2.0 * SAME_CLOCK))
+
+    def _rests_in(self, left: float) -> bool:
+        """Whether the object is at rest on its path so far ahead [s]."""
+        motion = GuardedPath(self.path).motion(self._qp.program_clock + self._qp.sense * left)
+        return motion is not None and float(np.abs(np.atleast_2d(motion)[0]).max()) <= STILL_OBJECT
 
     @property
     def _stage(self) -> int:
@@ -478,6 +541,8 @@ class ForceController(OperatorCalls):
             return f"the object touches something: {self._relaxation.contact()}"
         if why == BY_REACH:
             return f"the grasps cannot give way any further: {self._most()}"
+        if why == BY_RELEASE:
+            return f"the arms relax before arm {self.cell.arm_names[int(m.why_arm)]} lets go: {self._most()}"
         if why == BY_STAGE and squeezes(m):
             return f"the arms squeeze the object further while they relax: {self._most()}"
         if why == BY_STAGE:

@@ -51,6 +51,9 @@ class Chain:
         self.cell, self.grasp = cell, grasp
         self.n_arms, self.nv = len(cell), cell.nv
         self._data = cell.model.createData()
+        placed = zip(cell.T_joint_tool, grasp.T_object_tool, strict=True)
+        self._held = [T * X.inverse() for T, X in placed]  # before the tools move on the object
+        self._moved: Sequence[pin.SE3] = [pin.SE3.Identity()] * self.n_arms
         self.shift_grasp(np.zeros((self.n_arms, 6)))
         self.moving_columns, self.parts, self.part_columns = moving_columns(cell), parts(cell), part_columns(cell)
         self.scale = _joint_units(cell)
@@ -75,14 +78,15 @@ class Chain:
         return tuple(k for k, c in enumerate(self.moving_columns) if len(c) < 6 and k not in self.apart)
 
     def shift_grasp(self, shift: Array) -> None:
-        """The tools hold the object shifted from now on: ``exp(d_k) X_k`` for each d_k of (N, 6) [m, rad]."""
-        placed = zip(self.cell.T_joint_tool, self.grasp.T_object_tool, shift, strict=True)
-        self._T_joint_object = [T * X.inverse() * pin.exp6(-d) for T, X, d in placed]
-        self._held = self._T_joint_object  # before the tools move on the object
+        """The tools hold the object shifted from now on: ``exp(d_k) M_k X_k`` for each d_k of (N, 6) [m, rad]."""
+        self._shifted_by = [pin.exp6(-d) for d in shift]
+        self.place(self._moved)
 
     def place(self, moved: Sequence[pin.SE3]) -> None:
-        """The tools are at ``M_k X_k`` from now on, with M_k of each arm in the object frame."""
-        self._T_joint_object = [Y * M.inverse() for Y, M in zip(self._held, moved, strict=True)]
+        """The tools are at ``exp(d_k) M_k X_k`` from now on, with M_k of each arm in the object frame."""
+        self._moved = moved
+        placed = zip(self._held, moved, self._shifted_by, strict=True)
+        self._T_joint_object = [Y * M.inverse() * back for Y, M, back in placed]
 
     # -- poses ---------------------------------------------------------------------------------------------------
 

@@ -16,6 +16,7 @@ static double palms_used(int arms, const MindingArrays &f, int *busiest, double 
     double most = -1.0;
     *needed = 0.0, *busiest = 0;
     for (int k = 0; k < arms; k++) {
+        if (f.holding[k] == 0.0) continue;
         const double *palm = f.palms + PALM * k;
         const Vector6 w = f.seen.col(k);
         const double used = maximum(share_used(palm, w), share_used(palm + PALM_BOUND, w));

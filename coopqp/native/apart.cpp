@@ -95,7 +95,9 @@ static void expect_shift(Core *c, const Twists &shift) {
 static int move_grasp(Core *c, const double *numbers) {
     const Twists shift(const_cast<double *>(numbers), 6, c->arms);
     if (!shift.allFinite()) return 0;
-    for (int k = 0; k < c->arms; k++) c->object[k] = compose(c->places[k], exp6(-shift.col(k)));
+    if (grasps_move(c)) place_grasps(c, c->loop->clock, shift);
+    else
+        for (int k = 0; k < c->arms; k++) c->object[k] = compose(c->places[k], exp6(-shift.col(k)));
     expect_shift(c, shift);
     return 1;
 }

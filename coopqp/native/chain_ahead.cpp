@@ -96,7 +96,7 @@ static Trial newton_step(Core *c, double clock, double before, const double *pos
     if (!path_pose(c, clock, T) || !path_twist(c, maximum(minimum(clock, c->duration) - before, 0.0), twist))
         return CANNOT_SAY;
     const bool moving = grasps_move(c);
-    if (moving) place_grasps(c, minimum(clock, c->duration));
+    if (moving) place_grasps(c, minimum(clock, c->duration), c->ahead_shift);
     carry_and_linearise(c, positions, T.p, s.carried, s.jacobian);
     if (!errors_at(c, s.carried, T, s.errors)) return REJECTED;
     for (int k = 0; k < c->arms; k++) s.w.col(k) = turned(T.R, -s.errors.col(k)); /* w_k = −R e_k */
@@ -431,7 +431,7 @@ static int first_knot(Core *c, double clock) {
     Pose T;
     Vector x(vector_of(c, c->knot_positions, 0), c->joints, 1), slope(vector_of(c, c->knot_slope, 0), c->joints, 1);
     if (!path_pose(c, clock, T)) return 0;
-    if (grasps_move(c)) place_grasps(c, minimum(clock, c->duration));
+    if (grasps_move(c)) place_grasps(c, minimum(clock, c->duration), c->ahead_shift);
     x = c->positions;
     const int arm = reach_pose(c, T, x);
     slope.setZero();

@@ -48,10 +48,13 @@ static Pose moved_by(const double *piece, double clock) {
     return compose(compose(pose_at(piece), pose_on(segment, place_on(segment, clock))), pose_at(piece + 12));
 }
 
-static void place_grasps(Core *c, double clock) {
+/* The tools are where the path has them on the object at a clock, and have given way from there by a shift. */
+static void place_grasps(Core *c, double clock, const Twists &shift) {
+    const bool shifted = (shift.array() != 0.0).any();
     for (int k = 0; k < c->arms; k++) {
         const double *piece = piece_at(c, k, clock);
         c->object[k] = piece ? compose(c->places[k], inverse_of(moved_by(piece, clock))) : c->places[k];
+        if (shifted) c->object[k] = compose(c->object[k], exp6(-shift.col(k)));
     }
 }
 

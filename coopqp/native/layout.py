@@ -80,7 +80,7 @@ Minding = _struct(
     "saturated stage since stepped age asked force_cap last_rate last_speed at_end friction_used pressed_with needed "
     "sensor_fault sensor_arm sensor_amount allowed why why_arm rigid weight_x weight_y weight_z haste suspected "
     "servo_samples servo_noise corrects start_size way_done load_mass contact_limit load_haste touches pushed "
-    "sharpest asked_dt reference_dt contact_late goes_on back_speed back_owed back_from backs load_speed",
+    "sharpest asked_dt reference_dt contact_late goes_on back_speed back_owed back_from backs load_speed look_at",
 )
 #: How many numbers a struct has.
 SIZES = {name: ctypes.sizeof(kind) // 8 for name, kind in STRUCTS.items()}
@@ -91,7 +91,7 @@ HEARING = ("HEARD", "MISSED", "SILENT")
 #: Faults of a sensor: silent for ``sensor_amount`` seconds; ``sensor_amount`` newtons from the servos' estimate.
 SENSORS = ("SENSORS_FINE", "SENSOR_SILENT", "SENSOR_WRONG")
 #: Why the object may move at ``allowed`` only; NOTHING_MORE: the operator asks for no more.
-WHYS = ("NOTHING_MORE", "BY_SENSOR", "BY_REACH", "BY_STAGE", "BY_FRICTION", "BY_FORCE", "BY_CONTACT")
+WHYS = ("NOTHING_MORE", "BY_SENSOR", "BY_REACH", "BY_STAGE", "BY_FRICTION", "BY_FORCE", "BY_CONTACT", "BY_RELEASE")
 #: Members of Status, in the order of their codes.
 STATUSES = ("TRACKING", "SLOWED", "BLOCKED", "HOLDING", "FAULTED", "PAUSED", "OFF_PATH")
 
@@ -130,7 +130,7 @@ STATE = _fields(
     "quiet_ahead_centre nv; quiet_ahead_reach nv; watch Watch; deviation 6 * n; away 6 * n; away_step 6 * n; noise n; "
     "stalled n; widest n; lost n; held n; seen nq; history 2 * nv * past; slow_drift 6 * n; lag 6 * n; apart 6 * n; "
     "drift_last nv; lag_base 6; lag_told 6; lag_way 6; deflection nv; way nv; commanded nv; forces n; "
-    "slow_forces n; ahead Ahead; ahead_object 12 * n; "
+    "slow_forces n; ahead Ahead; ahead_object 12 * n; ahead_shift 6 * n; "
     "kinks MOST_KINKS; seek_low 12; seek_high 12; told_velocity nv; knots Knot * MOST_KNOTS; "
     "knot_positions nv * MOST_KNOTS; knot_slope nv * MOST_KNOTS; knot_curvature nv * MOST_KNOTS; "
     "knot_edges nv * MOST_KNOTS"

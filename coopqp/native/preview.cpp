@@ -5,7 +5,10 @@
 
 /* The look-ahead finds a knot with the grasps as they are when it is begun: grasps that go on giving way would be pursued
  * by its Newton steps for ever. */
-static void take_grasps(Core *c) { std::copy(c->object, c->object + c->arms, c->ahead_object); }
+static void take_grasps(Core *c) {
+    std::copy(c->object, c->object + c->arms, c->ahead_object);
+    c->ahead_shift = c->grasp_shift;
+}
 
 /* Swaps these grasps with the present ones; a second call swaps them back. */
 static void swap_grasps(Core *c) { std::swap(c->object, c->ahead_object); }

@@ -22,6 +22,10 @@ static Hearing feel(int arms, MindingArrays &f, const double *wrenches, double d
     const int moves = m->last_speed > SENSED_MOTION;
     Hearing heard = HEARD;
     for (int k = 0; k < arms; k++) {
+        if (f.holding[k] == 0.0) { /* its sensor reads its tool alone */
+            f.seen.col(k).setZero(), f.silent[k] = 0.0;
+            continue;
+        }
         const Vector6 wrench = wrenches ? Vector6(Eigen::Map<const Vector6>(wrenches + 6 * k)) : Vector6::Constant(NAN);
         const bool fresh = wrench.allFinite(), same = fresh && moves && !memcmp(f.seen.col(k).data(), wrench.data(), 48);
         if (fresh) f.seen.col(k) = wrench;
@@ -71,6 +75,21 @@ static void give_way(int arms, MindingArrays &f, double dt, double rate) {
     const double far = maximum(largest_norm(moved, 0) / m->most_reach, largest_norm(moved, 1) / m->most_turn);
     m->saturated = far >= 1.0 - 1e-9; /* also where it rests at the end of its reach, to rounding */
     f.shift = moved / maximum(far, 1.0);
+}
+
+/* The grasp of an arm that has let go comes back to its place, slowly at first, while the arm is free. Its distance from where it
+ * held is forgotten as its servos spring back. */
+static void come_back(int arms, MindingArrays &f, double dt) {
+    const Minding *m = f.m;
+    for (int k = 0; k < arms; k++) {
+        if (f.holding[k] != 0.0) continue;
+        const Vector6 way = f.shift.col(k) / m->relax_time;
+        const double linear = way.head<3>().cwiseAbs().maxCoeff() / m->most_speed;
+        const double fastest = maximum(maximum(linear, way.tail<3>().cwiseAbs().maxCoeff() / m->most_spin), 1.0);
+        f.freed[k] = minimum(f.freed[k] + dt / m->ramp_time, 1.0);
+        f.shift.col(k) -= minimum(dt * f.freed[k] / fastest, m->relax_time) * way;
+        f.held.col(k) += dt / (dt + m->wrench_filter) * (f.shift.col(k) - f.held.col(k));
+    }
 }
 
 /* Palms press, and all forces are small, for long enough: then the object moves, slowly at first on servos that were found to
@@ -173,6 +192,7 @@ static Hearing relax(int arms, Minding *m, const double *wrenches, double dt) {
     if (m->stage < RELAXING) m->start_size = maximum(m->start_size, m->size);
     if (gives && m->backs == 0.0) /* what pushes the object also pushes the arms against each other */
         give_way(arms, f, dt, m->stage == MOVING ? m->last_rate : 0.0);
+    come_back(arms, f, dt);
     if (m->stage == RELAXING && m->sensor_fault == SENSORS_FINE) wait_at_rest(m, dt);
     return heard;
 }

@@ -9,6 +9,11 @@ static void add_shift(const Core *c, Twists &away) {
     away += f.shift - f.held;
 }
 
+static void carry_servos(Core *c, Twists &base) {
+    MindingArrays f = minding_of(c->arms, c->minding);
+    carry_drift(c, f.off_servos, f.off_drift, base);
+}
+
 /* How far each arm is from where its servos should hold it by its wrench: away + C (w − share of the load) / ρ. */
 static void compare_with_servos(const Core *c, const MindingArrays &f, const Twists &away, Twists &off) {
     const Vector3 load = c->pose->R.transpose() * Vector3(f.m->weight_x, f.m->weight_y, f.m->weight_z);

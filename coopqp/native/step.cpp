@@ -124,7 +124,7 @@ static void observe(Core *c, const double *q, const double *dt) {
     }
     if (q && !believe(c, q, positions)) q = nullptr;
     stay_near(c, c->positions);
-    if (grasps_move(c)) place_grasps(c, c->loop->clock), take_contact(c, c->loop->clock);
+    if (grasps_move(c)) place_grasps(c, c->loop->clock, c->grasp_shift), take_contact(c, c->loop->clock);
     carry(c, c->positions, c->carried);
     const int was_lost = c->loop->path_lost == 1.0;
     c->loop->path_lost = was_lost ? 2.0 : 0.0; /* 2: found again */

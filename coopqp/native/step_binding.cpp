@@ -462,12 +462,13 @@ static void bind_minding(BoundCore &self, nb::object memory) {
 
 /* step_minding(memory, q, dt, wrenches): a step of a controller that minds forces: the grasps move, the object is as fast
  * as forces let it be. False where Python has to take part first, as it does before the arms relax, and where compliances
- * have to be looked at: nothing has changed then. */
+ * have to be looked at, or arms let go or attach soon: nothing has changed then. */
 static nb::object step_minding(BoundCore &self, nb::handle memory, const InOrNone &q, const Maybe &dt,
                                const InOrNone &wrenches) {
     Stepping here(self);
     const Minding *m = self.minding;
-    if (!memory.is(self.minding_given) || !gives_way(m) || m->age >= LOOK_EVERY) return nb::bool_(false);
+    if (!memory.is(self.minding_given) || !gives_way(m) || m->age >= LOOK_EVERY || self.loop->clock >= m->look_at)
+        return nb::bool_(false);
     const double *felt = wrenches_of(wrenches, self.arms);
     double length = NAN;
     check_fit(!q.data || q.size == self.nq);

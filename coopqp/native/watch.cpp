@@ -174,22 +174,31 @@ static void follow_drift(Core *c, const Twists &apart, double dt, Twists &out) {
     out = apart - c->slow_drift;
 }
 
-/* Other arms hold than before. Those that go on are as far out of step as they were, and one that attaches is not: the
- * drift begins anew where that is so. */
-static void take_over(Core *c, Twists &base) {
+/* Other arms hold than before: the drift with which those that go on are as far out of step as they were, and one that
+ * attaches is not. */
+static void carry_drift(const Core *c, const Twists &values, Twists &drift, Twists &base) {
     const auto go_on = c->held.cwiseProduct(c->holding);
-    const double held = c->held.sum(), share = held > 1.0 ? (held - 1.0) / held : 0.0, limit = c->options->let_in;
-    if (c->watch->lag_begun != 0.0)
-        c->lag_base += mean_where(c->holding, c->deviation) - mean_where(c->held, c->deviation);
-    base = c->deviation - share * c->slow_drift;
+    const double held = c->held.sum(), share = held > 1.0 ? (held - 1.0) / held : 0.0;
+    base = values - share * drift;
     const Vector6 rest = mean_where(go_on, base);
     for (int k = 0; k < c->arms; k++)
         if (go_on[k] != 0.0)
-            base.col(k) = share * c->slow_drift.col(k);
+            base.col(k) = share * drift.col(k);
         else
-            base.col(k) = c->deviation.col(k) - rest;
-    from_others(c->holding, base, c->slow_drift);
+            base.col(k) = values.col(k) - rest;
+    from_others(c->holding, base, drift);
+}
+
+/* Of arms that mind forces; see residual.cpp. */
+static void carry_servos(Core *c, Twists &base);
+
+static void take_over(Core *c, Twists &base) {
+    const double limit = c->options->let_in;
+    if (c->watch->lag_begun != 0.0)
+        c->lag_base += mean_where(c->holding, c->deviation) - mean_where(c->held, c->deviation);
+    carry_drift(c, c->deviation, c->slow_drift, base);
     c->slow_drift = c->slow_drift.cwiseMax(-limit).cwiseMin(limit);
+    if (c->minding) carry_servos(c, base);
     from_others(c->holding, c->deviation, c->apart);
     c->lag.setZero();
     c->watch->var_lag = LAG * LAG, c->watch->covariance = 0.0;

@@ -29,6 +29,8 @@ LAWS = (0.0, 1.0, 3.0)
 _CORNER = 1e-9
 #: How far from its grasp a tool may be where it attaches [m, rad].
 ATTACH_M, ATTACH_RAD = 0.002, 0.02
+#: Drives hand the load over in this time, ahead of a release and after an attachment [s].
+HAND_OVER_S = 0.2
 
 
 @final

@@ -33,6 +33,17 @@ def refuse_motion(path: ObjectPath, where: str, remedy: str) -> None:
         raise InvalidInputError("arms let go or move on the object along this path", where, remedy)
 
 
+def refuse_moving_holds(path: ObjectPath, where: str, remedy: str) -> None:
+    """Refuse a path along which an arm moves on the object while it holds it.
+
+    Raises:
+        InvalidInputError: it is one.
+    """
+    motion = getattr(path, "grasps", None)
+    if motion is not None and not motion.holding_fixed:
+        raise InvalidInputError("an arm moves on the object while it holds it", where, remedy)
+
+
 def refuse_ways(path: ObjectPath, where: str, remedy: str) -> None:
     """Refuse a path along which an arm follows a way of its joints, or let it go.
 

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any, final
 
 import numpy as np
+import pinocchio as pin
 
 from coopqp import planning
 from coopqp.checks import ArrayLike, as_scalar, read_only
@@ -225,7 +226,7 @@ class RunRecorder:
         self._append(velocity=step.velocity, rate=step.rate, status=float(step.status.code))
         self._notes.take(step)
         if self._follows and step.path.grasps is not None:
-            self._append(shift=step.path.grasps.shifts(step.clock_next))
+            self._append(shift=self._moved(step.path.grasps.placements(step.clock_next)))
         elif "shift" in self._rows:
             self._append(shift=getattr(self._controller, "shift", np.zeros((len(self._controller.cell), 6))))
         if self._loaded is not None:
@@ -236,6 +237,13 @@ class RunRecorder:
         self._failures += step.status in (Status.HOLDING, Status.FAULT)
         self._finished = step.finished
         self.steps += 1
+
+    def _moved(self, placements: Sequence[pin.SE3]) -> Array:
+        """How far the tools have moved on the object (N, 6) [m, rad]: along the program, and where they give way."""
+        shift = getattr(self._controller, "shift", None)
+        if shift is not None:
+            placements = [pin.exp6(d) * M for d, M in zip(shift, placements, strict=True)]
+        return np.array([pin.log6(M).vector for M in placements])
 
     def _append(self, **rows: Any) -> None:
         """A row to each of some arrays, by name."""

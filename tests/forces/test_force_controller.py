@@ -320,6 +320,8 @@ def test_core_and_definition_agree_about_what_minds_forces(arms: int, seed: int)
         setattr(scalars, name, value)
     views = minding_views(compiled, arms)
     views["silent"][:] = 0.0
+    views["holding"][:] = rng.random(arms) < rng.choice([0.5, 1.0])
+    views["holding"][rng.integers(arms)] = 1.0
     if rng.random() < 0.5:  # palms that press
         views["palms"][:, :, 3] = [0.0, 0.0, 0.5, 0.0, 0.0, 0.0]
     plain = compiled.copy()

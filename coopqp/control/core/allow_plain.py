@@ -12,7 +12,7 @@ from coopqp.native import layout
 from coopqp.native.constants import FIRMER, FRICTION_SLOWS, LEAST_CALM, RATE_FALLS, RATE_RISES, SLOW_RATE, SPARE_SQUEEZE
 from coopqp.spatial import Array
 
-NOTHING_MORE, BY_SENSOR, BY_REACH, BY_STAGE, BY_FRICTION, BY_FORCE, BY_CONTACT = range(len(layout.WHYS))
+NOTHING_MORE, BY_SENSOR, BY_REACH, BY_STAGE, BY_FRICTION, BY_FORCE, BY_CONTACT, BY_RELEASE = range(len(layout.WHYS))
 
 
 def allow(memory: Array, arms: int, dt: float, /) -> None:
@@ -54,15 +54,17 @@ def _ease_cap(m: Any, cap: float, dt: float) -> None:
 
 def _friction_slows(m: Any, x: dict[str, Array], dt: float) -> bool:
     """Whether friction is what slows the object."""
-    used = palms_used(x["palms"], x["seen"])
+    holding = np.flatnonzero(x["holding"])
+    palms, seen = x["palms"][holding], x["seen"][holding]
+    used = palms_used(palms, seen)
     share = dt / (dt + m.wrench_filter)
-    _press_harder(m, x, palms_need(x["palms"], x["seen"]), share, dt)
+    _press_harder(m, x, palms_need(palms, seen), share, dt)
     m.friction_used += share * (min(used.max(), 2.0) - m.friction_used)
     now = m.friction_used
     if not now > FRICTION_SLOWS:
         return False
     _ease_cap(m, max((1.0 - now) / (1.0 - FRICTION_SLOWS), 0.0), dt)
-    m.why_arm = used.argmax()
+    m.why_arm = holding[used.argmax()]
     return True
 
 

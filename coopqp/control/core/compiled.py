@@ -18,6 +18,7 @@ from coopqp.constraints.cause import Cause
 from coopqp.constraints.rate import Knot
 from coopqp.constraints.velocity import ConstraintTrouble, Rows, no_rows
 from coopqp.control.core.memory import NotForTheCore, build_memory, put_options, same_kinematics
+from coopqp.control.core.relax_plain import minding_scalars
 from coopqp.control.interface import ControlStep, SolverReport, Status, amend
 from coopqp.control.monitoring.supervision import as_configuration
 from coopqp.control.operator.way import Way
@@ -92,6 +93,7 @@ class CompiledLoop:
         self.at, self._core, self._loop, self._proposal = memory.at, memory.core, memory.loop, memory.proposal
         self._shift: Array | None = None
         self._motion: GraspMotion | None = None
+        self._minding: Any = None
         self._fixed = [pin.SE3.Identity()] * len(cell)
         numbers = memory.options
         numbers.own_solver = self.solver.name == "ldp"
@@ -173,6 +175,8 @@ class CompiledLoop:
     def _take_motion(self) -> None:
         """Hand the core how the tools move on the object along the path, and who holds it when."""
         at, motion, cell = self.at, self._guarded.grasps, self.cell
+        if self._minding is not None:
+            self._minding.look_at = -math.inf
         had = self._motion is not None
         self._motion = motion
         self.contact = None if motion is None else Contact(cell, self.grasp, motion)
@@ -182,6 +186,8 @@ class CompiledLoop:
                 at["object"][:], at["shares"][:], at["holding"][:] = at["places"], self._shares_of(None), 1.0
                 self._chain.place(self._fixed)
             self._core.set_grasps(None)
+            if had and self._shift is not None:
+                self._core.shift_grasp(self._shift)
             return
         numbers, n = motion.packed(), len(cell)
         contact = [[clock, *self._shares_of(holds), *holds] for clock, holds in motion.contact]
@@ -208,6 +214,7 @@ class CompiledLoop:
             return None
         self._core.bind(tell=tell)
         self._core.bind_minding(memory)
+        self._minding = minding_scalars(memory)
         step: Callable[..., Any] = self._core.step_minding
         return step
 
@@ -329,6 +336,11 @@ class CompiledLoop:
     def velocity(self) -> Array:
         """Commanded joint velocities of the last step (nv,)."""
         return self.at["velocity"]
+
+    @property
+    def held(self) -> tuple[GraspMotion, float, float] | None:
+        """How tools move on the object and who holds it, the clock of that, and up to which changes are taken [s]."""
+        return None if self._motion is None else (self._motion, self.clock, self.at["changed_at"].item())
 
     # -- callbacks of the core -------------------------------------------------------------------------------------
 

@@ -55,8 +55,8 @@ def minding_views(memory: Array, arms: int) -> dict[str, Array]:
         ("internal_of", (n, n)), ("yields", (n, n)), ("palms", (arms, 2, 4, 6)),
         ("felt", (arms, 6)), ("held", (arms, 6)), ("off_servos", (arms, 6)), ("off_last", (arms, 6)),
         ("off_step", (arms, 6)), ("off_drift", (arms, 6)), ("off_noise", (arms,)),
-        ("compliances", (arms, 6, 6)), ("carries", (n, 3)), ("unfed_of", (n, n)),
-        ("reference", (12,)), ("centre", (3,)), ("travel", (3, 3)), ("push", (5, 3)),
+        ("holding", (arms,)), ("freed", (arms,)), ("compliances", (arms, 6, 6)), ("carries", (n, 3)),
+        ("unfed_of", (n, n)), ("reference", (12,)), ("centre", (3,)), ("travel", (3, 3)), ("push", (5, 3)),
     )  # fmt: skip
     for name, shape in shapes:
         size = math.prod(shape)
@@ -67,7 +67,7 @@ def minding_views(memory: Array, arms: int) -> dict[str, Array]:
 
 def minding_size(arms: int) -> int:
     """Size of the memory for a number of arms."""
-    return layout.SIZES["Minding"] + 39 + (128 + 48) * arms + 108 * arms**2
+    return layout.SIZES["Minding"] + 39 + (130 + 48) * arms + 108 * arms**2
 
 
 def gives_way(m: Any) -> bool:
@@ -100,15 +100,18 @@ def relax(memory: Array, arms: int, wrenches: ArrayLike | None, dt: float, /) ->
         m.start_size = max(m.start_size, m.size)
     if gives and m.backs == 0.0:  # what pushes the object also pushes the arms against each other
         _give_way(m, x, dt, m.last_rate if m.stage == MOVING else 0.0)
+    _come_back(m, x, dt)
     if m.stage == RELAXING and m.sensor_fault == SENSORS_FINE:
         _wait_at_rest(m, dt)
     return heard
 
 
 def _feel(m: Any, x: dict[str, Array], wrenches: ArrayLike | None, dt: float) -> int:
-    w = np.full_like(x["seen"], np.nan) if wrenches is None else np.asarray(wrenches, dtype=float)
+    w = np.full_like(x["seen"], np.nan) if wrenches is None else np.array(wrenches, dtype=float)
+    holds = x["holding"].astype(bool)
+    w[~holds] = 0.0  # its sensor reads its tool alone
     fresh = np.isfinite(w).all(axis=1)
-    same = (w == x["seen"]).all(axis=1) & (m.last_speed > SENSED_MOTION)  # while the arms move
+    same = (w == x["seen"]).all(axis=1) & (m.last_speed > SENSED_MOTION) & holds  # while the arms move
     x["silent"][:] = np.where(fresh & ~same, 0.0, x["silent"] + dt)
     x["seen"][:] = np.where(fresh[:, None], w, x["seen"])
     now = (x["internal_of"] @ x["seen"].ravel()).reshape(-1, 6) - x["target"]
@@ -222,6 +225,19 @@ def _give_way(m: Any, x: dict[str, Array], dt: float, rate: float) -> None:
     far = _largest(moved, o.most_reach, o.most_turn)
     m.saturated = far >= 1.0 - 1e-9  # also where it rests at the end of its reach, to rounding
     x["shift"][:] = moved / far if far > 1.0 else moved
+
+
+def _come_back(m: Any, x: dict[str, Array], dt: float) -> None:
+    """The grasp of an arm that has let go comes back to its place, slowly at first, while the arm is free.
+
+    Its distance from where it held is forgotten as its servos spring back.
+    """
+    for k in np.flatnonzero(x["holding"] == 0.0):
+        way = x["shift"][k] / m.relax_time
+        fastest = max(float(np.abs(way[:3]).max()) / m.most_speed, float(np.abs(way[3:]).max()) / m.most_spin, 1.0)
+        x["freed"][k] = min(x["freed"][k] + dt / m.ramp_time, 1.0)
+        x["shift"][k] -= min(dt * x["freed"][k] / fastest, m.relax_time) * way
+        x["held"][k] += dt / (dt + m.wrench_filter) * (x["shift"][k] - x["held"][k])
 
 
 def _wait_at_rest(m: Any, dt: float) -> None:

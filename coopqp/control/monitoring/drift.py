@@ -42,6 +42,22 @@ def mean_where(holds: Flags, values: Array) -> Array:
     return out
 
 
+def carried_drift(values: Array, drift: Array, before: Flags, now: Flags) -> Array:
+    """The drift (N, 6) of arms where others hold than before.
+
+    With it those that go on are as far out of step as they were, and one that attaches is not.
+
+    Args:
+        values: of each arm (N, 6) [m].
+        drift: of the values' differences from the mean of the others, until now (N, 6) [m].
+        before, now: which arms hold (N,).
+    """
+    held, go_on = int(before.sum()), before & now
+    base = (held - 1.0) / max(held, 1) * drift if held > 1 else np.zeros_like(drift)
+    rest = mean_where(go_on, values - base)
+    return from_others(now) @ np.where(go_on[:, None], base, values - rest)
+
+
 @final
 class Drift:
     """The drift of each arm from the others; all arms share the variances, since all have one speed.
@@ -65,20 +81,14 @@ class Drift:
         self._bb, self._bc, self._cc = 0.0, 0.0, LAG**2  # variances and covariance of drift and lag
 
     def take_over(self, deviation: Array, before: Flags, now: Flags) -> None:
-        """Other arms hold than before.
-
-        Those that go on are as far out of step as they were, and one that attaches is not: the drift begins anew where
-        that is so.
+        """Other arms hold than before: see :func:`carried_drift`. The lag is learnt anew.
 
         Args:
             deviation: of each arm from its command (N, 6) [m].
             before, now: which arms hold (N,).
         """
-        held, go_on = int(before.sum()), before & now
-        base = (held - 1.0) / held * self._drift if held else 0.0 * self._drift
-        rest = mean_where(go_on, deviation - base)
-        base = np.where(go_on[:, None], base, deviation - rest)
-        self._drift = np.clip(from_others(now) @ base, -self._largest, self._largest)
+        drift = carried_drift(deviation, self._drift, before, now)
+        self._drift = np.clip(drift, -self._largest, self._largest)
         self._lag, self._apart = np.zeros_like(self._lag), from_others(now) @ deviation
         self._cc, self._bc = LAG**2, 0.0
 

@@ -19,6 +19,7 @@ from typing import final
 import numpy as np
 
 from coopqp.control.core.relax_plain import RELAXING, SENSORS_FINE, back_within_room, minding_scalars, minding_views
+from coopqp.control.monitoring.drift import carried_drift, from_others
 from coopqp.control.monitoring.noise import noise_seen
 from coopqp.native.constants import (
     FEW_SAMPLES,
@@ -31,7 +32,7 @@ from coopqp.native.constants import (
     SERVO_SLOWS,
     SOFTEST,
 )
-from coopqp.spatial import Array
+from coopqp.spatial import Array, Flags
 
 
 @final
@@ -46,7 +47,11 @@ class ServoWatch:
     def __init__(self, memory: Array, names: tuple[str, ...]) -> None:
         self._scalars, self._names, n = minding_scalars(memory), names, len(names)
         self._views = minding_views(memory, n)
-        self._from_others = (np.eye(n) - 1.0 / n) * (n / max(n - 1.0, 1.0))
+
+    def take_over(self, before: Flags, now: Flags) -> None:
+        """Other arms hold than before (N,)."""
+        x = self._views
+        x["off_drift"][:] = carried_drift(x["off_servos"], x["off_drift"], before, now)
 
     @property
     def minds(self) -> bool:
@@ -109,6 +114,7 @@ class ServoWatch:
         rotation: Array,
         hasty: float,
         *,
+        holds: Flags,
         way: float,
         dt: float,
         filter_time: float,
@@ -121,6 +127,7 @@ class ServoWatch:
             lengths: turns displacements of the object into lengths at the grasps (6, 6).
             rotation: of the object (3, 3).
             hasty: the largest acceleration of late [rad/s² or m/s²].
+            holds: which arms hold the object (N,): these are compared.
             way: of the arms since the last sample [rad or m].
             dt, filter_time: time since the last sample, time constant of the filter [s].
             margin: noise floor, in root mean squares.
@@ -135,11 +142,11 @@ class ServoWatch:
         fresh = dt / (filter_time + dt)
         noise = math.sqrt(dt / (2.0 * filter_time + dt)) * m.servo_noise  # this may be the first of a stall
         samples = m.servo_samples = min(m.servo_samples + 1.0, NOISE_TIME / dt)
-        m.servo_noise = noise_seen(off, x["off_last"], x["off_step"], x["off_noise"], samples)
+        m.servo_noise = noise_seen(off, x["off_last"], x["off_step"], x["off_noise"], samples, holds)
         x["off_servos"] += fresh * (off - x["off_servos"])
         if samples < FEW_SAMPLES:
             return 1.0, -1, 0.0
-        apart = self._from_others @ x["off_servos"]
+        apart = from_others(holds) @ x["off_servos"]
         drifted = apart - x["off_drift"]  # where the load is shared otherwise
         x["off_drift"] += min(LARGEST_SLOPE * way / max(float(np.abs(drifted).max()), 1e-300), 1.0) * drifted
         apart = apart - x["off_drift"]

@@ -261,6 +261,8 @@ class Supervision:
         s, now = self._s, self._holds
         s.lag.take_over(mean_where(now, s.deviation) - mean_where(s.held, s.deviation))
         s.drift.take_over(s.deviation, s.held, now)
+        if self.servos is not None:
+            self.servos.take_over(s.held, now)
         s.held = now
 
     def _keep_where_lost(self, measured: Array, away: Array) -> Flags:
@@ -361,6 +363,7 @@ class Supervision:
             self._at_grasps,
             rotation,
             hasty,
+            holds=self._holds,
             way=self._s.drift.way,
             dt=dt,
             filter_time=o.filter_time,

@@ -43,6 +43,7 @@ from coopqp.model.grasp import Grasp, mean_pose
 from coopqp.model.limits import BindingLimit, LimitKind
 from coopqp.model.posture import Posture
 from coopqp.native.constants import LEAST_PACE, MOST_TIGHTENINGS, NEGLIGIBLE, SAID_APART, SAME_CLOCK
+from coopqp.paths.grasp_motion import GraspMotion
 from coopqp.paths.guarded import GuardedPath, jump
 from coopqp.paths.joint_path import FAR_FROM_WAY
 from coopqp.paths.path import ObjectPath
@@ -358,6 +359,11 @@ class PlainLoop:
                 arm, far = self.cell.arm_names[k], float(off.max())
                 reason = f"arm {arm} is not on the way of its joints: {joint} is {far:.3g} rad (or m) off"
                 watch.lower(Watch.holding(reason, Cause.INPUT))
+
+    @property
+    def held(self) -> tuple[GraspMotion, float, float] | None:
+        """How tools move on the object and who holds it, the clock of that, and up to which changes are taken [s]."""
+        return None if self._motion is None else (self._motion, self.state.clock, self.state.taken)
 
     @property
     def contact_due(self) -> bool:

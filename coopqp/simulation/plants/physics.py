@@ -22,7 +22,7 @@ from coopqp.forces.grips import Grip
 from coopqp.forces.load_sharing import LoadShare
 from coopqp.model.cell import RobotCell
 from coopqp.model.grasp import Grasp
-from coopqp.paths.grasp_motion import GraspMotion
+from coopqp.paths.grasp_motion import HAND_OVER_S, GraspMotion
 from coopqp.paths.time_law import TimeLaw
 from coopqp.simulation.plants.disturbances import Disturbances
 from coopqp.simulation.plants.drives import TorqueDrives
@@ -39,10 +39,6 @@ if TYPE_CHECKING:
     from coopqp.paths.scenario import Scenario
 
 __all__ = ["PhysicsError", "PhysicsOptions", "PhysicsPlant"]
-
-
-#: The drives hand the weight from arm to arm over in this time [s].
-_HAND_OVER = 0.2
 
 
 class PhysicsError(CoopqpError):
@@ -342,7 +338,7 @@ class PhysicsPlant:
     def _take_contact(self, step: ControlStep, motion: GraspMotion, dt: float) -> None:
         """Open and close the grips as the program says: each closes where its tool is.
 
-        The drives hand the weight over ahead of a release and after an attachment, in :data:`_HAND_OVER`.
+        The drives hand the weight over ahead of a release and after an attachment, in HAND_OVER_S.
         """
         holds = motion.holds(step.clock)
         if step.status not in (Status.HOLDING, Status.FAULT):  # an arm that is not where it grasps does not attach
@@ -352,10 +348,10 @@ class PhysicsPlant:
                 elif held and not wanted:
                     self._engine.open(k)
             self._holds = holds
-        soon = motion.holds(step.clock + step.sense * _HAND_OVER) if step.sense else holds
+        soon = motion.holds(step.clock + step.sense * HAND_OVER_S) if step.sense else holds
         bears = tuple(a and b for a, b in zip(self._holds, soon, strict=True))
         placed = self.grasp.moved_by(motion.placements(step.clock))
-        self._feed_forward.hand_over(bears if any(bears) else self._holds, placed, dt / _HAND_OVER)
+        self._feed_forward.hand_over(bears if any(bears) else self._holds, placed, dt / HAND_OVER_S)
 
     def _grow(self, time: float) -> None:
         """Move the grips with the object's size at a time since the start [s]."""
