@@ -72,7 +72,7 @@ def _in_engine_run(task: Scenario, *, relax: bool, **disturbances: Any) -> _Engi
     made = ForceController(inner, ForceOptions(stiffness=np.tile(STIFFNESS, 3), payload=payload)) if relax else inner
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
-        recording = simulate(made, plant, q_start=task.q_start, observe=see, settle=1.0)
+        recording = simulate(made, plant, q_start=task.q_start, observe=see, settle=1.0, patience=None)
     clock, force, internal, borne = np.array(rows).T
     if not recording.finished:
         return _Engine(np.inf, np.inf, np.inf, np.inf)
@@ -103,8 +103,7 @@ def in_engine(quick: bool) -> Iterator[Promise]:
         yield Promise(
             f"{case}: internal force at rest (QPController: {alone.rest:.0f})", max(r.rest for r in runs), 5.0, "N"
         )
-        if name == "3 → 2 → 3":
-            between = max(run.between for run in runs)
+        if name == "3 → 2 → 3":  # at rest, so that nothing but the weight is borne
+            between, unborne = max(run.between for run in runs), max(run.unborne for run in runs)
             yield Promise(f"{case}: internal force while two hold", between, 5.0, "N")
-        unborne = max(run.unborne for run in runs)
-        yield Promise(f"{case}: weight that the arms that hold do not bear", unborne, 0.1, "")
+            yield Promise(f"{case}: weight that these two do not bear", unborne, 0.01, "")

@@ -217,13 +217,12 @@ def test_a_program_that_cannot_be_is_refused_when_it_is_built() -> None:
         Turns(about=(0.0, 0.0, 0.0), angle=0.1, axis=(0.0, 0.0, 0.0))
 
 
-def test_forces_are_refused_by_name_where_arms_let_go() -> None:
+def test_forces_are_taken_where_arms_let_go_before_they_move() -> None:
     from coopqp import ForceController
 
     task, program = handed(at_rest=True)
     controller = QPController(task.cell, task.grasp, program, dt=0.005)
-    with pytest.raises(InvalidInputError, match="let go"):
-        ForceController(controller, ForceOptions(stiffness=1e5))
+    assert ForceController(controller, ForceOptions(stiffness=1e5)).path is program
     assert isinstance(program.grasp_at(task.grasp, 1.0), Grasp)
 
 
