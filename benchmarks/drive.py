@@ -18,6 +18,7 @@ import common  # first: it limits BLAS to one thread
 import drive_cases
 import drive_peers
 from common import Record
+from drive_runs import Row
 
 from coopqp.errors import MissingExtraError
 
@@ -29,7 +30,7 @@ ELSEWHERE = (
 )
 
 
-def rows(case: Callable[[], Iterator[drive_cases.Row]], left_out: list[str]) -> Iterator[drive_cases.Row]:
+def rows(case: Callable[[], Iterator[Row]], left_out: list[str]) -> Iterator[Row]:
     """The rows of a case; one without its peer is noted among those left out."""
     try:
         yield from case()

@@ -6,153 +6,30 @@ import threading
 import time
 import warnings
 from collections import deque
-from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Iterator
 from typing import Any
 
 import common  # noqa: F401  # first: it limits BLAS to one thread
 import numpy as np
+from drive_runs import CELL, DT, LIFT, SENT, Event, Row, drive, halt, kill, limit, release, resume, time_of
+from drive_shared import shared_joints
 
 from coopqp import QPController
 from coopqp.control import StallBound
-from coopqp.drivers import ControlLoop, EngineCell, LoopReport, ManualTime, SimulatedRobot
+from coopqp.drivers import ControlLoop, ManualTime, SimulatedRobot
 from coopqp.drivers.command_spline import CommandSpline
 from coopqp.drivers.limited_clock import LimitedClock
 from coopqp.drivers.play_out import PlayOut
 from coopqp.errors import BusyError, StiffnessWarning
 from coopqp.model.state import CellState
-from coopqp.scenarios import paper_lift
-from coopqp.simulation import PhysicsPlant
-from coopqp.spatial import Array
 
-DT = 0.002
-LIFT = paper_lift(time_law="quintic")
-CELL = LIFT.cell.with_limits(acceleration=10.0)
-LIFT_WITH_LIMITS = replace(LIFT, cell=CELL)
-#: Shares of the limits that the runs so far have sent: velocity, acceleration.
-SENT: list[tuple[float, float]] = []
 LAGS, NONE = (0.007, 0.032, 0.047), (0.0, 0.0, 0.0)
 #: When an arm is limited or stops, and when it is let go [s].
 SLOW_FROM, SLOW_TO, STOP_FROM, STOP_TO, RESUMED = 0.75, 2.25, 1.4, 3.4, 3.6
-Event = tuple[float, Callable[[Any, ControlLoop], object]]
-
-
-@dataclass(frozen=True)
-class Row:
-    """One figure beside its bound."""
-
-    case: str
-    value: float
-    bound: float
-    unit: str
-
-
-@dataclass
-class Run:
-    """A run, with what its robots really did in each period."""
-
-    report: LoopReport
-    time: Array
-    q: Array
-    sent: Array
-    holding: Array
-    forces: Array
-    force_time: Array
-
-    def apart(self) -> Array:
-        """Largest distance between the arms' views of the object, every fifth period [m]."""
-        found = []
-        for x in self.q[::5]:
-            errors = LIFT.grasp.relative_errors(CellState(CELL, CELL.configuration_of(x)))
-            found.append(np.linalg.norm(errors[:, :3], axis=1).max())
-        return np.array(found)
-
-    def force(self, begin: float = 0.0, end: float = np.inf) -> float:
-        """Largest force of an arm on the object in a time, its share of the load included [N]."""
-        return float(self.forces[(self.force_time >= begin) & (self.force_time < end)].max())
-
-
-def drive(
-    lags: Sequence[float], *, events: Sequence[Event] = (), told: bool = True, gripped: bool = False,
-    constraints: Sequence[Any] = (), observe: Callable[[float], None] | None = None,
-) -> Run:  # fmt: skip
-    """Run the lift; in the engine where the arms hold the object."""
-    clock = ManualTime()
-    x = CELL.positions(LIFT.q_start)
-    engine: EngineCell | None = None
-    robots: dict[str, Any]
-    if gripped:
-        engine = EngineCell(PhysicsPlant.of(LIFT_WITH_LIMITS), LIFT.q_start, time=clock, period=DT, lags=lags)
-        robots = dict(engine.robots(told=told))
-    else:
-        robots = {
-            name: SimulatedRobot(
-                [joint.partition("/")[2] for joint in CELL.joint_names[own]], x[own], time=clock, lag=lag,
-                told_lag="lag" if told else None,
-            )
-            for name, own, lag in zip(CELL.arm_names, CELL.v_slices, lags, strict=True)
-        }  # fmt: skip
-    controller = QPController(CELL, LIFT.grasp, LIFT.path, dt=DT, constraints=constraints)
-    moments: list[float] = []
-    q: list[Array] = []
-    sent_all: list[Array] = []
-    holding: list[bool] = []
-    waiting = list(events)
-
-    class Recorder:
-        def take(self, moment: float, measured: Array, sent: Array, step: Any, clock: float) -> None:
-            moments.append(moment)
-            now = moment - moments[0]
-            real = [robot.servo.q for robot in robots.values()]
-            q.append(np.concatenate(real) if engine is None else measured.copy())
-            sent_all.append(sent.copy())
-            holding.append(step.status.value == "holding")
-            for event in [e for e in waiting if now >= e[0]]:
-                event[1](robots, loop)
-                waiting.remove(event)
-            if observe is not None:
-                observe(now)
-            if now > 15.0:
-                loop.stop("too long")
-
-    loop = ControlLoop(controller, robots, recorder=Recorder(), time=clock)
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", StiffnessWarning)
-        report = loop.run()
-    SENT.append((report.velocity, report.acceleration))
-    began = moments[0]
-    return Run(
-        report, np.array(moments) - began, np.array(q), np.array(sent_all), np.array(holding),
-        np.zeros((0, 3)) if engine is None else np.array(engine.forces),
-        np.zeros(0) if engine is None else np.array(engine.times) - began,
-    )  # fmt: skip
-
-
-def _limit(k: int, speed: float | None) -> Callable[[Any, ControlLoop], object]:
-    return lambda robots, loop: list(robots.values())[k].servo.limit(speed)
-
-
-def _halt(k: int, deceleration: float = np.inf) -> Callable[[Any, ControlLoop], object]:
-    return lambda robots, loop: list(robots.values())[k].servo.halt(deceleration=deceleration)
-
-
-def _release(k: int) -> Callable[[Any, ControlLoop], object]:
-    return lambda robots, loop: list(robots.values())[k].servo.release()
-
-
-def _resume(robots: Any, loop: ControlLoop) -> None:
-    loop.resume()
 
 
 def _stop(k: int, deceleration: float = np.inf) -> list[Event]:
-    return [(STOP_FROM, _halt(k, deceleration)), (STOP_TO, _release(k)), (RESUMED, _resume)]
-
-
-def _time(run: Run) -> float:
-    return run.report.time if run.report.finished else np.nan
-
-
-# -- the rows ----------------------------------------------------------------------------------------------------------
+    return [(STOP_FROM, halt(k, deceleration)), (STOP_TO, release(k)), (RESUMED, resume)]
 
 
 def lags() -> Iterator[Row]:
@@ -163,7 +40,7 @@ def lags() -> Iterator[Row]:
         ("lags 4, 120, 32 ms learnt", (0.004, 0.120, 0.032), False, 3.5, 2.0),
     ):
         run = drive(given, told=told)
-        yield Row(f"{name}: time", _time(run), longest, "s")
+        yield Row(f"{name}: time", time_of(run), longest, "s")
         yield Row(f"{name}: apart", 1e3 * float(run.apart().max()), furthest, "mm")
 
 
@@ -178,14 +55,14 @@ def half_speed() -> Iterator[Row]:
     peaks = _peaks()
     for name, given, longest, furthest in (("", NONE, 3.9, 2.5), (", lags 7, 32, 47 ms", LAGS, 4.0, 2.5)):
         runs = [
-            drive(given, events=[(SLOW_FROM, _limit(k, 0.5 * peak)), (SLOW_TO, _limit(k, None))])
+            drive(given, events=[(SLOW_FROM, limit(k, 0.5 * peak)), (SLOW_TO, limit(k, None))])
             for k, peak in enumerate(peaks)
         ]
-        yield Row(f"one arm at 50 %, free{name}: time", max(_time(run) for run in runs), longest, "s")
+        yield Row(f"one arm at 50 %, free{name}: time", max(time_of(run) for run in runs), longest, "s")
         apart = max(float(run.apart().max()) for run in runs)
         yield Row(f"one arm at 50 %, free{name}: apart", 1e3 * apart, furthest, "mm")
     for k, peak in enumerate(peaks):
-        run = drive(NONE, gripped=True, events=[(SLOW_FROM, _limit(k, 0.5 * peak)), (SLOW_TO, _limit(k, None))])
+        run = drive(NONE, gripped=True, events=[(SLOW_FROM, limit(k, 0.5 * peak)), (SLOW_TO, limit(k, None))])
         force = run.force() if run.report.finished else np.nan
         yield Row(f"{CELL.arm_names[k]} at 50 %, gripped: force with the load's share", force, 200.0, "N")
 
@@ -237,11 +114,7 @@ def killed() -> Iterator[Row]:
 
     held, rest = [], []
     for k in range(3):
-
-        def kill(robots: Any, loop: ControlLoop, k: int = k) -> None:
-            list(robots.values())[k].kill()
-
-        run = drive(NONE, events=[(STOP_FROM, kill)])
+        run = drive(NONE, events=[(STOP_FROM, kill(k))])
         held.append(float(run.time[np.argmax(run.holding)]) - STOP_FROM)
         speed = np.abs(np.diff(run.sent, axis=0)).max(axis=1) / DT
         at = int(np.searchsorted(run.time, STOP_FROM))
@@ -251,10 +124,9 @@ def killed() -> Iterator[Row]:
     yield Row("a robot is killed: HOLDING after", 1e3 * max(held), 15.0, "ms")
     yield Row("a robot is killed: below 1e-3 rad/s, beyond the braking time", 1e3 * max(rest), 20.0, "ms")
     apart = [
-        float(drive(NONE, events=[(STOP_FROM, lambda r, loop, k=k: list(r.values())[k].kill())],  # type: ignore[misc]
-                    constraints=[StallBound(0.005, dt=DT)]).apart().max())
+        float(drive(NONE, events=[(STOP_FROM, kill(k))], constraints=[StallBound(0.005, dt=DT)]).apart().max())
         for k in range(3)
-    ]  # fmt: skip
+    ]
     yield Row("a robot is killed: apart with StallBound(0.005)", 1e3 * max(apart), 5.0, "mm")
 
 
@@ -357,4 +229,4 @@ def operators(calls: int = 100_000) -> Iterator[Row]:
     yield Row(f"{case}: made after", float(max(waits)) if len(waits) == calls else np.nan, 2.0, "periods")
 
 
-QUICK = (lags, half_speed, stops_gripped, stops_free, killed, hostile, operators)
+QUICK = (lags, half_speed, stops_gripped, stops_free, killed, shared_joints, hostile, operators)

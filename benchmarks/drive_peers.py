@@ -21,7 +21,7 @@ from typing import Any
 import common  # noqa: F401  # first: it limits BLAS to one thread
 import numpy as np
 import pinocchio as pin
-from drive_cases import CELL, DT, LIFT, Row
+from drive_runs import CELL, DT, LIFT, Row
 
 from coopqp import Grasp, LinePath, QPController, RobotCell, WaypointPath, simulate
 from coopqp.drivers import Command, ControlLoop, FrankaDriver, LoopOptions, Ros2Driver, SimDriver, UrDriver

@@ -47,7 +47,7 @@ def add_drive(commands: Any) -> None:
         "every driver at once.",
     )
     parser.add_argument("cell", type=Path, metavar="CELL", help="cell file (.toml or .yaml)")
-    parser.add_argument("--driver", choices=("sim", "engine"), help="this for every arm, in place of the file's")
+    parser.add_argument("--driver", choices=("sim", "engine"), help="this for every robot, in place of the file's")
     parser.add_argument(
         "--enable",
         nargs="?",
@@ -130,6 +130,7 @@ def ask_for_name(name: str, given: str) -> None:
 def _dry_run(run: CellRun, drivers: dict[str, RobotDriver], speed: float) -> int:
     from coopqp.drivers.loop import ControlLoop
 
+    run = run.led()  # as coopqp run does
     loop = ControlLoop(run.controller(), drivers)
     refused = loop.refused()
     _print_states(run, loop)
@@ -149,10 +150,13 @@ def _print_states(run: CellRun, loop: ControlLoop) -> None:
 
     import numpy as np
 
+    from coopqp.drivers.robots import turned
     from coopqp.drivers.timing import MonotonicTime
+    from coopqp.model.cell import slides
 
     cell = run.scenario.cell
-    start = cell.positions(run.scenario.q_start)
+    start, sliding = cell.positions(run.scenario.q_start), np.array(slides(cell))
+    units = [("mrad", ~sliding), *([("mm", sliding)] if sliding.any() else [])]
     ages: dict[str, list[float]] = {watch.robot.name: [] for watch in loop.watches}
     first = {watch.robot.name: watch.received for watch in loop.watches}
     began = time.monotonic()
@@ -162,17 +166,20 @@ def _print_states(run: CellRun, loop: ControlLoop) -> None:
             watch.read(clock)
             ages[watch.robot.name].append(watch.age(clock.now()))
         time.sleep(loop.period)
-    lines = [["robot", "states [1/s]", "age [ms]", "offset [s]", "lag [ms]", "from the start [mrad]", "says"]]
+    far = [f"from the start [{unit}]" for unit, _ in units]
+    lines = [["robot", "states [1/s]", "age [ms]", "offset [s]", "lag [ms]", *far, "says"]]
     for watch in loop.watches:
         name, driver = watch.robot.name, watch.robot.driver
         rate = (watch.received - first[name]) / (time.monotonic() - began)
-        away = np.abs(watch.positions() - start[watch.robot.joints]).max()
+        joints = watch.robot.joints
+        away = np.abs(turned(cell, watch.positions() - start[joints], joints))
+        furthest = [f"{1e3 * away[of[joints]].max():.1f}" if of[joints].any() else "-" for _, of in units]
         lag = "not told" if driver.lag is None else f"{1e3 * driver.lag:.0f}"
         lines.append(
             [name, f"{rate:.0f}", f"{1e3 * float(np.median(ages[name])):.1f}", f"{watch.offset:.3f}", lag,
-             f"{1e3 * away:.1f}", watch.condition().value]
+             *furthest, watch.condition().value]
         )  # fmt: skip
-    print_table(lines, numeric=[False, True, True, True, True, True, False])
+    print_table(lines, numeric=[False, *[True] * (4 + len(units)), False])
 
 
 def _far_from_start(run: CellRun, loop: ControlLoop) -> list[str]:
@@ -242,6 +249,7 @@ def _drive(
     from coopqp.drivers.ros2_board import Ros2Board, Ros2BoardOptions
     from coopqp.files.cellfile.strict import build_options
 
+    run = run.led()
     controller, slower = _bounded(run)
     controller.set_override(speed)
     recorder: MemoryRecorder | BagRecorder | None = None

@@ -51,7 +51,7 @@ def add_jog(commands: Any) -> None:
     parser.add_argument("--port", type=int, metavar="N", help="port of the page (8080; 0: any)")
     parser.add_argument("--sticks", action="store_true", help="draw the arms as sticks instead of their shapes")
     parser.add_argument("--record", type=Path, metavar="FILE", help="also write the recording (.npz)")
-    parser.add_argument("--driver", choices=("sim",), help="with --enable: this driver for every arm, not the file's")
+    parser.add_argument("--driver", choices=("sim",), help="with --enable: this driver for every robot, not the file's")
     parser.add_argument(
         "--enable",
         nargs="?",
@@ -161,7 +161,7 @@ def _on_robots(arguments: argparse.Namespace) -> int:
 
     require_viser()
     require_readers()
-    run = load_cell_file(Path(arguments.cell))
+    run = load_cell_file(Path(arguments.cell)).led()
     task = task_of(run)
 
     def lead(loop: ControlLoop) -> PageLink:

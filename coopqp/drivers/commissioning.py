@@ -38,7 +38,7 @@ def commission_sensors_by_drivers(
 
     Args:
         scenario: the cell, the grasp, the start and the object.
-        drivers: a driver by the name of its arm; its states have wrenches.
+        drivers: a driver by the name of its arm or robot; its states have wrenches.
         stiffness: what is known of the joint servos (nv,) [N·m/rad or N/m].
         known: what is known of the sensors, by arm.
         options: of the loop.
@@ -59,7 +59,8 @@ def commission_sensors_by_drivers(
         rest: Array | None = None
 
         def take(self, moment: float, measured: Array, sent: Array, step: ControlStep, clock: float) -> None:
-            wrenches = np.array([_wrench(watch.state) for watch in loop.watches])
+            told = [watch.wrench(arm) for watch in loop.watches for arm in watch.robot.arms]
+            wrenches = np.array([np.full(6, np.nan) if own is None else own for own in told])
             if np.isfinite(wrenches).all():
                 self.rest = wrenches if self.rest is None else self.rest
                 felt.append(float(np.linalg.norm((wrenches - self.rest)[:, :3], axis=1).max()))
@@ -70,10 +71,3 @@ def commission_sensors_by_drivers(
     with nullcontext() if begun is None else begun(loop):
         report = loop.run()
     return commissioning_of(controller, known=known, reason=report.reason, added=max(felt, default=0.0))
-
-
-def _wrench(state: Any) -> Array:
-    """The wrench that a robot tells (6,); NaN without one."""
-    if state is None or not isinstance(state.wrench, np.ndarray):
-        return np.full(6, np.nan)
-    return state.wrench

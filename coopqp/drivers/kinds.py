@@ -21,17 +21,19 @@ class DriverKind:
     Attributes:
         options: dataclass of its settings.
         make: a driver of joint names, start positions (n,) [rad or m], and settings.
+        one_arm: it drives one arm alone, no joints that arms share.
     """
 
     options: type
     make: Callable[[Sequence[str], Array, Any], RobotDriver]
+    one_arm: bool = False
 
 
 DRIVER_KINDS: Mapping[str, DriverKind] = {
     "sim": DriverKind(SimOptions, SimDriver),
-    "franka": DriverKind(FrankaOptions, lambda joints, q, options: FrankaDriver(joints, options)),
+    "franka": DriverKind(FrankaOptions, lambda joints, q, options: FrankaDriver(joints, options), True),
     "ros2": DriverKind(Ros2Options, lambda joints, q, options: Ros2Driver(joints, options)),
-    "ur": DriverKind(UrOptions, lambda joints, q, options: UrDriver(joints, options)),
+    "ur": DriverKind(UrOptions, lambda joints, q, options: UrDriver(joints, options), True),
 }
-#: What ``--driver`` takes for every arm: their settings have defaults. The engine has all arms at a time.
+#: What ``--driver`` takes for every robot: their settings have defaults. The engine has all arms at a time.
 FOR_EVERY_ARM = ("sim", "engine")

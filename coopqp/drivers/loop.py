@@ -50,7 +50,8 @@ class ControlLoop(LoopCalls):
 
     Args:
         controller: a QPController or ForceController.
-        drivers: a driver by the name of its arm, or of its robot where that has several arms.
+        drivers: a driver by the name of its arm, or of its robot where that has several arms: joints that arms share
+            are their robot's.
         options: settings, or a dictionary of them.
         bodies: told to the controller's :class:`coopqp.Clearance`, moved on by their twists to the present time; one
             that is older than ``LoopOptions.gone_after`` is not told, and the controller holds by its own patience.
@@ -351,13 +352,10 @@ class ControlLoop(LoopCalls):
         """The wrench of each arm on the object (N, 6); NaN where it is missing or old."""
         wrenches = np.full((len(self.cell), 6), np.nan)
         for watch in self.watches:
-            if watch.state is None or watch.missing(self._now) or watch.state.wrench is None:
-                continue
-            wrench = watch.state.wrench
-            for k in watch.robot.arms:
-                own = wrench.get(self.cell.arm_names[k]) if isinstance(wrench, Mapping) else wrench
+            for arm in () if watch.missing(self._now) else watch.robot.arms:
+                own = watch.wrench(arm)
                 if own is not None:
-                    wrenches[k] = own
+                    wrenches[self.cell.index(arm)] = own
         sizes = np.linalg.norm(wrenches[:, :3], axis=1)
         if np.isfinite(sizes).any():
             self._force = max(float(np.nanmax(sizes)), 0.0 if math.isnan(self._force) else self._force)

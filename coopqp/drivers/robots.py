@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -26,13 +26,45 @@ class Robot:
         name: the robot's name.
         driver: its driver.
         joints: index of each of the driver's joints among the cell's velocity coordinates (n,).
-        arms: indices of the arms that have these joints.
+        arms: names of the arms whose own joints are among these; none where all are joints that arms share.
     """
 
     name: str
     driver: RobotDriver
     joints: npt.NDArray[np.intp]
-    arms: tuple[int, ...]
+    arms: tuple[str, ...]
+
+
+def driver_names(cell: RobotCell) -> tuple[str, ...]:
+    """What a driver of a cell may be named after: the robots with several arms, then the arms."""
+    robots = [arm.robot for arm in cell.arms if arm.robot]
+    return tuple(dict.fromkeys([*(name for name in robots if robots.count(name) > 1), *cell.arm_names]))
+
+
+def driven_joints(cell: RobotCell, names: Iterable[str] = ()) -> dict[str, npt.NDArray[np.intp]]:
+    """The joints of each driver of a cell, as velocity coordinates (n,), by the name of its robot or arm.
+
+    The own joints of an arm belong to the driver of its name. What arms share, and the joints of arms without a driver
+    of their own, belong to the driver of their robot.
+
+    Args:
+        cell: the arms.
+        names: drivers that there are, of :func:`driver_names`. Arms that none of them has have one by themselves, and
+            arms that share joints one for their robot.
+    """
+    given = set(names)
+    owners = [""] * cell.nv
+    for arm, columns, own in zip(cell.arms, cell.columns, cell.v_slices, strict=True):
+        by_robot = arm.name not in given and bool(arm.shared or arm.robot in given)
+        for j in columns:
+            owners[j] = arm.robot if by_robot or not own.start <= j < own.stop else arm.name
+    return {name: np.flatnonzero(np.array(owners) == name) for name in dict.fromkeys(owners)}
+
+
+def arms_of(cell: RobotCell, joints: npt.NDArray[np.intp]) -> tuple[str, ...]:
+    """Names of the arms that have own joints among velocity coordinates (n,)."""
+    having = zip(cell.arm_names, cell.v_slices, strict=True)
+    return tuple(name for name, own in having if ((joints >= own.start) & (joints < own.stop)).any())
 
 
 def robots_of(cell: RobotCell, drivers: Mapping[str, RobotDriver]) -> tuple[Robot, ...]:
@@ -40,14 +72,14 @@ def robots_of(cell: RobotCell, drivers: Mapping[str, RobotDriver]) -> tuple[Robo
 
     Args:
         cell: the arms.
-        drivers: a driver by the name of its arm; of a robot with several arms by any name, with joints ``arm/joint``.
+        drivers: a driver by the name of its arm or robot. Its joints are named as in the cell, ``arm/joint`` and
+            ``robot/joint``; or without the name of the driver, or that of an arm of the robot whose name it has.
 
     Raises:
         InvalidInputError: no driver, a joint that the cell does not have, one with two drivers or with none.
     """
     if not isinstance(drivers, Mapping) or not drivers:
         raise InvalidInputError("no drivers", "ControlLoop: drivers", "Give a mapping from arm to driver.")
-    cell.refuse_shared("ControlLoop")
     found: list[Robot] = []
     owner: dict[str, str] = {}
     for name, driver in drivers.items():
@@ -59,7 +91,7 @@ def robots_of(cell: RobotCell, drivers: Mapping[str, RobotDriver]) -> tuple[Robo
             )
         joints = []
         for joint in driver.joint_names:
-            full = joint if joint in cell.joint_names else f"{name}/{joint}"
+            full = _full_name(cell, name, joint)
             if full not in cell.joint_names:
                 raise InvalidInputError(
                     f"the cell has no joint '{full}'", where, f"Its joints: {', '.join(cell.joint_names)}."
@@ -70,16 +102,23 @@ def robots_of(cell: RobotCell, drivers: Mapping[str, RobotDriver]) -> tuple[Robo
                 )
             owner[full] = name
             joints.append(cell.joint_names.index(full))
-        arms = tuple(sorted({cell.arm_of_joint(j) for j in joints}))
-        found.append(Robot(name, driver, np.array(joints, dtype=np.intp), arms))
+        index = np.array(joints, dtype=np.intp)
+        found.append(Robot(name, driver, index, arms_of(cell, index)))
     none = [joint for joint in cell.joint_names if joint not in owner]
     if none:
         raise InvalidInputError(
             f"no driver has the joint '{none[0]}'" + (f" nor {len(none) - 1} more" if len(none) > 1 else ""),
             "ControlLoop: drivers",
-            "Give one for each arm.",
+            f"Give one for each of {', '.join(driven_joints(cell, set(drivers) & set(driver_names(cell))))}.",
         )
     return tuple(found)
+
+
+def _full_name(cell: RobotCell, driver: str, joint: str) -> str:
+    """The name in the cell of a driver's joint; of one that the cell does not have, as if it were the driver's own."""
+    owners = [driver, *(arm.name for arm in cell.arms if arm.robot == driver)]
+    names = [joint, *(f"{owner}/{joint}" for owner in owners)]
+    return next((name for name in names if name in cell.joint_names), f"{driver}/{joint}")
 
 
 def turned(cell: RobotCell, x: Array, joints: npt.NDArray[np.intp] | None = None) -> Array:

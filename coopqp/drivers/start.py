@@ -11,7 +11,7 @@ from coopqp.drivers.driver import STANDS, DriverError
 from coopqp.drivers.robots import turned
 from coopqp.drivers.timing import LoopTime
 from coopqp.drivers.watch import RobotWatch
-from coopqp.model.cell import RobotCell
+from coopqp.model.cell import RobotCell, slides
 from coopqp.spatial import Array
 
 
@@ -50,8 +50,17 @@ def unready(watches: Sequence[RobotWatch], *, wrenches: bool) -> list[str]:
     for watch in watches:
         if watch.condition() in STANDS:
             said.append(f"robot '{watch.robot.name}' says {watch.condition().value}. Release it first.")
-        if wrenches and watch.state is not None and watch.state.wrench is None:
-            said.append(f"robot '{watch.robot.name}' tells no wrench, and a ForceController needs one for each arm.")
+        name, arms = watch.robot.name, watch.robot.arms
+        silent = [arm for arm in arms if watch.wrench(arm) is None] if wrenches and watch.state is not None else []
+        if silent and silent != list(arms):
+            said.append(f"robot '{name}' tells no wrench of arm '{silent[0]}', and a ForceController needs it.")
+        elif silent and len(arms) > 1:
+            said.append(
+                f"robot '{name}' tells no wrenches by arm, and a ForceController needs one for each of "
+                f"{', '.join(arms)}."
+            )
+        elif silent:
+            said.append(f"robot '{name}' tells no wrench, and a ForceController needs one for each arm.")
     return said
 
 
@@ -94,8 +103,9 @@ def begin(
     away = np.abs(turned(cell, first - targets))
     if away.max() > tolerance:
         j = int(np.argmax(away))
+        unit = "mm" if slides(cell)[j] else "mrad"
         raise DriverError(
-            f"not driven: the first command of joint {cell.joint_names[j]} is {1e3 * away[j]:.1f} mrad from where its "
-            f"servo is, and may be {1e3 * tolerance:.1f}. Move the arms to the start."
+            f"not driven: the first command of joint {cell.joint_names[j]} is {1e3 * away[j]:.1f} {unit} from where "
+            f"its servo is, and may be {1e3 * tolerance:.1f}. Move the arms to the start."
         )
     return first

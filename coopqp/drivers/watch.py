@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import final
 
 import numpy as np
@@ -91,6 +92,13 @@ class RobotWatch:
     def condition(self) -> Condition:
         """What the robot says of itself."""
         return Condition.RUNNING if self.state is None else self.state.condition
+
+    def wrench(self, arm: str) -> Array | None:
+        """The newest state's wrench of an arm of this robot (6,); None where it tells none."""
+        wrench = None if self.state is None else self.state.wrench
+        if isinstance(wrench, Mapping):
+            return wrench.get(arm)
+        return wrench if self.robot.arms == (arm,) else None
 
     def positions(self) -> Array:
         """Positions (n,) of the newest state [rad or m]; NaN before the first."""

@@ -9,7 +9,7 @@ import drive
 import drive_cases
 import drive_peers
 import pytest
-from drive_cases import Row
+from drive_runs import SENT, Row
 
 
 def test_a_figure_holds_up_to_its_bound(
@@ -39,5 +39,5 @@ def test_what_lacks_its_peer_is_named(monkeypatch: pytest.MonkeyPatch, capsys: p
 
 
 def test_hostile_rates_keep_the_limits() -> None:
-    drive_cases.SENT.append((1.0, 1.0))
+    SENT.append((1.0, 1.0))
     assert all(row.value <= row.bound for row in drive_cases.hostile(runs=3))

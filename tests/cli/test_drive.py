@@ -11,9 +11,10 @@ from functools import partial
 import pytest
 from places import CELL_FILES
 
-from coopqp import Recording
+from coopqp import Recording, load_cell_file
 from coopqp.cli.main import main
 from coopqp.drivers import LoopOptions
+from coopqp.files.cellfile import CellFileError
 
 pytestmark = [pytest.mark.slow, pytest.mark.filterwarnings("ignore::coopqp.errors.StiffnessWarning")]
 TWO = CELL_FILES / "two_robots.toml"
@@ -99,6 +100,75 @@ def test_bad_input_is_refused_before_anything_is_started(quick, capsys, tmp_path
     quick.write_text(text[: text.index("[drivers.right]")] + text[text.index("[grasp]") :])
     assert main(["drive", str(quick)]) == 2
     assert "arm 'right' has no driver" in capsys.readouterr().err
+
+
+# -- a robot whose arms share a lift -----------------------------------------------------------------------------------
+
+
+@pytest.fixture
+def lift(tmp_path):
+    """Two arms on a lift, faster; the file names no drivers."""
+    text = (CELL_FILES / "torso_lift.toml").read_text()
+    file = tmp_path / "torso_lift.toml"
+    file.write_text(text.replace("duration_s = 8.0", "duration_s = 3.0"))
+    return file
+
+
+@pytest.mark.usefixtures("patient")
+def test_a_robot_with_a_lift_is_driven_as_it_is_run(lift, capsys, tmp_path, monkeypatch):
+    from coopqp.cli import drive
+
+    monkeypatch.setattr(drive, "_READING", 0.05)
+    assert main(["drive", str(lift)]) == 2
+    assert "robot 'lift' (lift/lift, left, right) has no driver. Give a table [drivers.lift]" in capsys.readouterr().err
+    lift.write_text(lift.read_text() + '\n[drivers.lift]\nkind = "sim"\nlag = 0.02\n')
+    assert main(["drive", str(lift), "--speed", "1"]) == 0
+    said = capsys.readouterr().out
+    for words in ("from the start [mrad]", "from the start [mm]", "nothing would be refused", "lags lift 20 ms"):
+        assert words in said
+    file = tmp_path / "run.npz"
+    assert main(["drive", str(lift), "--enable", "torso_lift", "--speed", "1", "--record", str(file)]) == 0
+    run = Recording.load(file)
+    # As `coopqp run`: without the check's motion of the lift it would stay at its place.
+    assert run.q[-1, 0] - run.q[0, 0] > 0.15
+
+
+def test_wrong_drivers_of_a_robot_are_refused_with_the_right_names(lift, capsys, monkeypatch):
+    monkeypatch.setattr("coopqp.drivers.sim.SimDriver.connect", lambda self: pytest.fail("connected"))
+    text, sim, ur = lift.read_text(), 'kind = "sim"\n', 'kind = "ur"\naddress = "192.0.2.1"\n'
+    for tables, words in (
+        ({"lft": sim}, "drivers: no robot or arm named 'lft'; robots: lift; arms: left, right."),
+        ({"left": sim}, "robot 'lift' (lift/lift, right) has no driver. Give a table [drivers.lift]"),
+        ({"lift": ur}, "drivers.lift: a driver 'ur' has one arm, and this robot has lift/lift, left, right. Give each "
+         "arm a table of its own, [drivers.left], [drivers.right], and [drivers.lift] another kind, as ros2, for "
+         "lift/lift."),
+        ({"lift": ur, "left": sim, "right": sim}, "drivers.lift: a driver 'ur' has one arm"),
+        ({"lift": 'kind = "franka"\naddress = "192.0.2.1"\n'}, "a driver 'franka' has one arm"),
+    ):  # fmt: skip
+        lift.write_text(text + "".join(f"\n[drivers.{name}]\n{table}" for name, table in tables.items()))
+        assert main(["drive", str(lift)]) == 2
+        assert words in capsys.readouterr().err
+
+
+def test_arms_of_a_robot_may_have_drivers_beside_that_of_their_lift(lift):
+    text = lift.read_text()
+    tables = "".join(f'\n[drivers.{name}]\nkind = "sim"\n' for name in ("right", "lift"))
+    lift.write_text(text + tables)
+    drivers = load_cell_file(lift).drivers()
+    names = {name: driver.joint_names for name, driver in drivers.items()}
+    assert names["right"] == tuple(f"right_joint_{i}" for i in range(1, 7))
+    assert names["lift"] == ("lift", *(f"left_joint_{i}" for i in range(1, 7)))
+    # Without a joint that arms share the robot is as two arms: each has a driver, or the robot.
+    lift.write_text(text.replace('robot = "lift2"', 'robot = "lift2"\nlocked_joints_rad = { lift = 0.4 }').replace(
+        "limits.lift = { acceleration_rad_per_s2 = 0.5 }", "").replace("translation_m = [0.0, 0.0, 1.5]",
+        "translation_m = [0.0, 0.0, 0.3]").replace("0.55, 0.0, 0.20", "0.55, 0.0, 0.8"))  # fmt: skip
+    assert list(load_cell_file(lift).drivers("sim")) == ["left", "right"]
+    lift.write_text(lift.read_text() + '\n[drivers.lift]\nkind = "sim"\n')
+    (robot,) = load_cell_file(lift).drivers().values()
+    assert len(robot.joint_names) == 12
+    lift.write_text(lift.read_text() + "".join(f'[drivers.{a}]\nkind = "sim"\n' for a in ("left", "right")))
+    with pytest.raises(CellFileError, match=r"drivers\.lift: every arm of this robot has a driver of its own"):
+        load_cell_file(lift).drivers()
 
 
 @pytest.mark.usefixtures("patient")

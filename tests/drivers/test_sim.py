@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from robots import joints_of
@@ -10,7 +12,8 @@ from coopqp import InvalidInputError, QPController
 from coopqp.drivers import Command, Condition, ControlLoop, DriverError, RobotState
 from coopqp.drivers.packets import pack_command, pack_state, unpack_command, unpack_state
 from coopqp.drivers.sim import SimDriver, SimOptions
-from coopqp.scenarios import dual_arm7
+from coopqp.planning import check_path
+from coopqp.scenarios import dual_arm7, torso_lift
 
 pytestmark = [pytest.mark.slow, pytest.mark.filterwarnings("ignore::coopqp.errors.StiffnessWarning")]
 
@@ -129,6 +132,74 @@ def test_a_robot_that_is_killed_ends_the_run(bar):
         _closed(drivers)
     assert not report.finished
     assert f"robot '{name}' told no state" in report.reason
+    assert report.statuses["holding"] > 0
+
+
+# -- a robot whose arms share a lift -----------------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def tower():
+    scenario = torso_lift(duration=3.0)
+    check = check_path(scenario.cell, scenario.grasp, scenario.path, q_start=scenario.q_start)
+    return replace(scenario, path=check.led_path())
+
+
+def _of_tower(scenario, recorder, *, gone_after, **link):
+    """The loop, and the robot, which has its description's names of joints."""
+    names = [name.partition("/")[2] for name in scenario.cell.joint_names]
+    robot = SimDriver(names, scenario.cell.positions(scenario.q_start), {"tells_lag": False, "seed": 5, **link})
+    controller = QPController(scenario.cell, scenario.grasp, scenario.path, dt=scenario.dt)
+    return ControlLoop(controller, {"lift": robot}, {"gone_after": gone_after}, recorder=recorder), robot
+
+
+class _Trouble:
+    """The robot is slower than told for a while, stops to be safe, and is let go once all stand."""
+
+    def __init__(self):
+        self.number, self.stood, self.lifts = 0, 0, []
+
+    def take(self, moment, measured, sent, step, clock):
+        self.number += 1
+        self.lifts.append(measured[0])
+        if self.number == 100:
+            self.robot.limit(1.0)
+        elif self.number == 150:
+            self.robot.limit(None)
+        elif self.number == 250:
+            self.robot.halt(says=Condition.PROTECTIVE)
+        if self.loop.stands:
+            self.stood += 1
+            self.robot.release()
+            self.loop.resume()
+
+
+def test_a_robot_with_a_lift_is_slow_stops_and_goes_on(tower):
+    trouble = _Trouble()
+    loop, robot = _of_tower(tower, trouble, gone_after=2.0, latency=5e-4, jitter=5e-4, loss=0.01, clock_offset=77.0)
+    trouble.loop, trouble.robot = loop, robot
+    try:
+        report = loop.run()
+    finally:
+        robot.close()
+    assert report.finished, report.reason
+    assert report.stops == 1
+    assert trouble.stood >= 1
+    assert report.acceleration <= 1.0 + 1e-9
+    assert np.nanmax(trouble.lifts) == pytest.approx(0.5, abs=1e-3)
+    assert report.apart < 0.02  # on a machine that may stall
+
+
+def test_a_robot_with_a_lift_that_is_killed_ends_the_run(tower):
+    killer = _Killer()
+    loop, robot = _of_tower(tower, killer, gone_after=0.1)
+    killer.drivers = {"right": robot}
+    try:
+        report = loop.run()
+    finally:
+        robot.close()
+    assert not report.finished
+    assert "robot 'lift' told no state" in report.reason
     assert report.statuses["holding"] > 0
 
 

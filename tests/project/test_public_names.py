@@ -38,6 +38,8 @@ INSIDE = (
     "benchmarks/compare_peers.py",
     "benchmarks/drive_cases.py",
     "benchmarks/drive_peers.py",
+    "benchmarks/drive_runs.py",
+    "benchmarks/drive_shared.py",
     "benchmarks/look_ahead_cases.py",
     "benchmarks/ompl_routes.py",
     "benchmarks/planning.py",

@@ -10,6 +10,7 @@ import numpy as np
 
 from coopqp import QPController
 from coopqp.drivers import ControlLoop, LoopReport, ManualTime, SimulatedRobot
+from coopqp.drivers.robots import driven_joints
 from coopqp.model.state import CellState
 
 #: What happens at a time of a run [s]: called with the robots by name and the loop.
@@ -35,12 +36,16 @@ def joints_of(cell: Any, k: int) -> list[str]:
     return [name.split("/", 1)[1] for name in cell.joint_names[cell.v_slices[k]]]
 
 
-def simulated_robots(cell: Any, q: Any, time: Any, lags: Sequence[float], **options: Any) -> dict[str, SimulatedRobot]:
-    """A robot for each arm, with lags of their servos [s]."""
-    x = cell.positions(q)
+def simulated_robots(
+    cell: Any, q: Any, time: Any, lags: Sequence[float], *, names: Sequence[str] = (), **options: Any
+) -> dict[str, SimulatedRobot]:
+    """A robot for each arm, and for arms that share joints, with lags of their servos [s]; or one of each name."""
+    x, joints = cell.positions(q), driven_joints(cell, names)
     return {
-        name: SimulatedRobot(joints_of(cell, k), x[cell.v_slices[k]], time=time, lag=lags[k], **options)
-        for k, name in enumerate(cell.arm_names)
+        name: SimulatedRobot(
+            [cell.joint_names[j].partition("/")[2] for j in own], x[own], time=time, lag=lag, **options
+        )
+        for (name, own), lag in zip(joints.items(), lags, strict=True)
     }
 
 
@@ -60,7 +65,10 @@ def drive(
             began.append(moment)
             now = moment - began[0]
             moments.append(now)
-            q.append(np.concatenate([arm.servo.q for arm in arms.values()]))
+            real = np.empty(cell.nv)
+            for robot in loop.robots:
+                real[robot.joints] = robot.driver.servo.q
+            q.append(real)
             sent_all.append(sent.copy())
             statuses.append(step.status.value)
             for event in [e for e in waiting if now >= e[0]]:

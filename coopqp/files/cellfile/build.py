@@ -24,11 +24,12 @@ from coopqp.control.options import QPOptions
 from coopqp.control.qp import QPController
 from coopqp.drivers.driver import RobotDriver
 from coopqp.drivers.engine import EngineCell
-from coopqp.drivers.kinds import DRIVER_KINDS, FOR_EVERY_ARM
+from coopqp.drivers.kinds import FOR_EVERY_ARM
 from coopqp.drivers.timing import MonotonicTime
 from coopqp.errors import CoopqpError, InvalidInputError, MissingExtraError, StartWarning, UnknownNameError
 from coopqp.files.cellfile.bodies import build_scene
 from coopqp.files.cellfile.build_arm import build_cell, build_placement, build_stiffness, in_radians
+from coopqp.files.cellfile.build_drivers import make_drivers
 from coopqp.files.cellfile.build_phases import build_program, first_pose
 from coopqp.files.cellfile.error import CellFileError
 from coopqp.files.cellfile.explain import explain, in_words_of_the_file
@@ -203,45 +204,25 @@ class CellRun:
         return PhysicsPlant.of(self.scenario, options=options, disturbances=self.disturbances)
 
     def drivers(self, kind: str | None = None) -> dict[str, RobotDriver]:
-        """A new driver for each arm, as the file's tables say.
+        """A new driver for each robot, as the file's tables say.
 
         Args:
-            kind: this kind for every arm, in place of those of the file, whose settings stay where they are of this
+            kind: this kind for every robot, in place of those of the file, whose settings stay where they are of this
                 kind: ``sim``, robots in simulation that stand at the start; ``engine``, robots in the physics engine
                 that hold the object there and tell their wrenches.
 
         Raises:
-            CellFileError: an arm without a driver, a driver without an arm, or one that does not fit its arm.
+            CellFileError: a robot without a driver, a driver without a robot, or one that does not fit its robot.
             MissingExtraError: a kind whose extra is not installed.
             UnknownNameError: no such kind.
         """
-        cell, tables = self.scenario.cell, self.settings.drivers
         if kind is not None and kind not in FOR_EVERY_ARM:
             raise UnknownNameError("driver", str(kind), FOR_EVERY_ARM, "drive")
         if kind == "engine":
             s = self.scenario
-            engine = EngineCell(
-                self.physics_plant(), s.q_start, time=MonotonicTime(), period=s.dt, lags=[0.0] * len(s.cell)
-            )
+            engine = EngineCell(self.physics_plant(), s.q_start, time=MonotonicTime(), period=s.dt, lags=0.0)
             return dict(engine.robots())
-        for name in tables:
-            if name not in cell.arm_names:
-                raise CellFileError(f"{self.file}: drivers: no arm named '{name}'; arms: {', '.join(cell.arm_names)}.")
-        x, made = cell.positions(self.scenario.q_start), dict[str, RobotDriver]()
-        for name, own in zip(cell.arm_names, cell.v_slices, strict=True):
-            if kind is None and name not in tables:
-                raise CellFileError(
-                    f"{self.file}: arm '{name}' has no driver. Give a table [drivers.{name}], or --driver sim."
-                )
-            table = tables[name] if name in tables and kind in (None, tables[name].kind) else None
-            what = DRIVER_KINDS[kind or tables[name].kind]
-            joints = [joint.partition("/")[2] for joint in cell.joint_names[own]]
-            try:
-                options = {} if table is None else build_options(what.options, table)
-                made[name] = what.make(joints, x[own], options)
-            except InvalidInputError as error:
-                raise CellFileError(f"{self.file}: drivers.{name}: {error}") from error
-        return made
+        return make_drivers(self.scenario.cell, self.settings.drivers, self.scenario.q_start, kind, self.file)
 
     @property
     def sensors(self) -> dict[str, WristSensor]:

@@ -391,7 +391,8 @@ class CellFile(Table):
         default=None, description="what the arms and the object keep away from; without it a run is only judged"
     )
     drivers: Annotated[dict[Name, DriverTable], Len(0, MAX_ARMS)] = Field(
-        default={}, description="the driver of each robot, by the name of its arm, for `coopqp drive`"
+        default={},
+        description="the driver of each robot, by its name, or by that of its arm where it has one; for `coopqp drive`",
     )
     ros2: Ros2Table | None = Field(
         default=None, description="ROS 2 topics of `coopqp drive`: its status, the object's pose, a hand's targets"
