@@ -140,7 +140,7 @@ def test_wrong_drivers_of_a_robot_are_refused_with_the_right_names(lift, capsys,
         ({"lft": sim}, "drivers: no robot or arm named 'lft'; robots: lift; arms: left, right."),
         ({"left": sim}, "robot 'lift' (lift/lift, right) has no driver. Give a table [drivers.lift]"),
         ({"lift": ur}, "drivers.lift: a driver 'ur' has one arm, and this robot has lift/lift, left, right. Give each "
-         "arm a table of its own, [drivers.left], [drivers.right], and [drivers.lift] another kind, as ros2, for "
+         "arm a table of its own, [drivers.left], [drivers.right], and [drivers.lift] another kind for "
          "lift/lift."),
         ({"lift": ur, "left": sim, "right": sim}, "drivers.lift: a driver 'ur' has one arm"),
         ({"lift": 'kind = "franka"\naddress = "192.0.2.1"\n'}, "a driver 'franka' has one arm"),

@@ -246,6 +246,13 @@ def test_joints_that_no_driver_has_or_two_have_are_refused():
             _loop(s, drivers)
 
 
+def test_blind_servos_are_refused_with_a_remedy_that_there_is():
+    s, time = _tower(), ManualTime()
+    robots = simulated_robots(s.cell, s.q_start, time, (0.0, 0.0), tells_target=False)
+    (said,) = _loop(s, robots, time=time).refused()
+    assert said.endswith("Give drivers that tell it: arms share joints here.")
+
+
 def test_which_joints_each_driver_has():
     s = _tower()
     size = {name: len(joints) for name, joints in driven_joints(s.cell).items()}

@@ -88,7 +88,7 @@ def _refuse_several(cell: RobotCell, name: str, kind: str, joints: npt.NDArray[n
         return
     remedy = f"each arm a table of its own, {', '.join(f'[drivers.{arm}]' for arm in arms)}" if arms else ""
     if len(parts) > len(arms):
-        rest = f"[drivers.{name}] another kind, as ros2, for {', '.join(parts[: -len(arms) or None])}"
+        rest = f"[drivers.{name}] another kind for {', '.join(parts[: -len(arms) or None])}"
         remedy = f"{remedy}, and {rest}" if remedy else rest
     raise CellFileError(
         f"{file}: drivers.{name}: a driver '{kind}' has one arm, and this robot has {', '.join(parts)}. Give {remedy}."
