@@ -302,7 +302,7 @@ def test_forces_in_the_engine_are_relaxed_again_after_each_change(make: Any, bas
     inner = QPController(task.cell, task.grasp, task.path, dt=0.004)
     made = ForceController(inner, ForceOptions(stiffness=SERVOS, payload=payload, presses=False))
     motion, rows, speed = task.path.grasps, list[tuple[float, float, float]](), np.zeros(task.cell.nv)
-    (leaves, attaches), apart = motion.changes, 0 if make is hand_over else 2
+    (leaves, attaches), apart, borne = motion.changes, 0 if make is hand_over else 2, list[float]()
 
     def see(step: ControlStep) -> None:
         nonlocal speed
@@ -312,7 +312,7 @@ def test_forces_in_the_engine_are_relaxed_again_after_each_change(make: Any, bas
         forces = np.linalg.norm(w[:, :3], axis=1)
         if not held.all() and leaves + 0.01 < step.clock < attaches - 0.01:
             assert forces[apart] < 1.0  # its grip is open
-            assert w[held, 2].sum() > 0.9 * 9.81 * task.object_mass
+            borne.append(w[held, 2].sum())
         points = np.array([X.translation for X in task.grasp.moved_by(motion.placements(step.clock)).T_object_tool])
         w[:, 3:] -= np.cross(points, w[:, :3])
         inner = np.linalg.norm(least_wrenches(points[held], w[held]), axis=1).max()
@@ -321,6 +321,8 @@ def test_forces_in_the_engine_are_relaxed_again_after_each_change(make: Any, bas
     recording = simulate(made, plant, q_start=task.q_start, observe=see, settle=1.0)
     assert recording.finished
     assert plant.gripped
+    # The other arms bear the weight; an object that moves by 0.1 m/s changes its mean by 1.3 N in that time.
+    assert np.mean(borne) == pytest.approx(9.81 * task.object_mass, rel=0.01)
     clock, force, internal = np.array(rows).T
     assert force[clock >= attaches].max() < 1.3 * force[clock < leaves - 0.01].max()
     assert internal[-1] < 2.0
