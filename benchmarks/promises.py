@@ -26,6 +26,7 @@ from promise_cases import (
     planning,
     programs,
     proofs,
+    robots,
     screen,
     sensors,
     shared,
@@ -41,7 +42,7 @@ GROUPS: dict[str, tuple[Callable[[bool], Iterator[promise_cases.Promise]], ...]]
     "operator": (operator.promises,),
     "programs": (programs.promises,),
     "screen": (screen.promises,),
-    "shared": (shared.promises,),
+    "shared": (shared.promises, robots.promises),
 }
 
 

@@ -16,6 +16,8 @@ from coopqp.spatial import Array, Placement
 MERGED = 1e-5
 #: Seeds per round, most rounds, and hits of every branch that end the search after a round without a new branch.
 _ROUND, _MOST_ROUNDS, _ENOUGH_HITS = 64, 12, 4
+#: An arm of six joints has at most 16 solutions; more than these are samples of infinitely many at a singularity.
+_MOST_APART = 64
 #: Most solutions of a redundant arm, and seeds for them.
 _MOST_REDUNDANT, _REDUNDANT_SEEDS = 256, 256
 #: Positions outside a limit by less count as inside [rad or m].
@@ -82,6 +84,8 @@ def find_branches(
         return search.result(_MOST_REDUNDANT * seed_factor)
     for rounds in range(1, 2 if quick else _MOST_ROUNDS + 1):
         new = search.try_seeds(kinematics.seeds(_ROUND * seed_factor, rng))
+        if len(search.found) > _MOST_APART:
+            break
         new += search.try_neighbours()
         enough = min(search.hits) >= _ENOUGH_HITS if search.hits else rounds >= _ENOUGH_HITS
         if new == 0 and rounds > 1 and enough:

@@ -146,6 +146,14 @@ class RobotCell(Shown):
         return next(k for k, own in enumerate(self.columns) if j in own)
 
     @property
+    def bases(self) -> tuple[tuple[int, ...], ...]:
+        """The indices of the arms that stand on each base: those of a robot, or one arm."""
+        standing: dict[str, list[int]] = {}
+        for k, arm in enumerate(self.arms):
+            standing.setdefault(f"robot {arm.robot}" if arm.robot else f"arm {arm.name}", []).append(k)
+        return tuple(tuple(arms) for arms in standing.values())
+
+    @property
     def blocks(self) -> dict[str, slice]:
         """The velocity coordinates of each arm's own joints, and by a robot's name of those that its arms share."""
         own = dict(zip(self.arm_names, self.v_slices, strict=True))

@@ -49,6 +49,12 @@ static void hold_here(Core *c) {
     *c->pose = compose(first, exp6(mean));
 }
 
+/* Time constant of the filter of the measured object error: filter_time() of coopqp/control/step/contact.py. */
+static double measurement_time(const Core *c) {
+    const double fewer = c->arms / c->holding.sum();
+    return fewer * fewer * c->options->measurement_time;
+}
+
 /* The object's error for the path correction: the commanded one plus the further measured error, which fades in slowly.
  * While the arms hold it is 0: the measured error of an arm that does not move would lead the others away without end. */
 static int let_in(Core *c, const double *positions, const double *q) {
@@ -68,7 +74,7 @@ static int let_in(Core *c, const double *positions, const double *q) {
         const Vector6 found = common_error(c, away);
         away -= c->errors;
         watch_sample(c, positions, q, away, h);
-        c->drift += h / (h + c->options->measurement_time) * (found - commanded + c->latched - c->drift);
+        c->drift += h / (h + measurement_time(c)) * (found - commanded + c->latched - c->drift);
         c->loop->drifted = 1.0;
     }
     c->measured = (p->hold != 0.0 ? 0.0 : corrects * p->watch_cap) * (commanded + c->drift);

@@ -144,7 +144,9 @@ def exactness(poses: Array) -> float:
     return _EXACT + _EXACT_SHARE * float(np.abs(poses[:, :3, 3]).max(initial=0.0))
 
 
-def between(kinematics: ArmKinematics, poses: Array, qa: Array, qb: Array, share: Array) -> tuple[Array, Array, Flags]:
+def between(
+    kinematics: ArmKinematics, poses: Array, qa: Array, qb: Array, share: Array, *, given: Array | None = None
+) -> tuple[Array, Array, Flags]:
     """Configurations that reach poses between two ends, the further rows of a redundant arm, and flags.
 
     Args:
@@ -152,10 +154,13 @@ def between(kinematics: ArmKinematics, poses: Array, qa: Array, qb: Array, share
         poses: T_world_tool (M, 4, 4).
         qa, qb: joint positions at the ends (M, n) [rad or m].
         share: where the poses are between the ends (M,), 0 to 1.
+        given: positions of the joints that other arms share (M, S); by default those between the ends.
     """
     n, exact, x = kinematics.n, exactness(poses), share[:, None]
     guess = (1.0 - x) * qa + x * qb
     shared = kinematics.shared
+    if given is not None:
+        guess[:, shared] = given
     if n <= 6:
         answer = kinematics.solve(poses, guess, tolerance=exact, steps=8)
         return answer.q, np.empty((len(guess), 0, 6)), answer.residual <= exact

@@ -6,8 +6,8 @@ A place is the number of a segment plus the share of it, or the clock of a path 
 from __future__ import annotations
 
 import abc
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 from typing import final
 
 import numpy as np
@@ -35,6 +35,7 @@ class ArmTrajectory:
         places: (I + 1,).
         q: joint positions there (I + 1, n) [rad or m].
         rates: largest speed of each joint between them (I, n) per place; infinite where nothing is proved.
+        shared: where the joints that other arms share are, (M, S) at places (M,); None without such joints.
     """
 
     kinematics: ArmKinematics
@@ -42,6 +43,13 @@ class ArmTrajectory:
     places: Array
     q: Array
     rates: Array
+    shared: Callable[[Array], Array] | None = None
+
+    def with_shared(self, shared: Callable[[Array], Array]) -> ArmTrajectory:
+        """The same with positions of shared joints that are, to the last bit, those that their other arms have."""
+        q = self.q.copy()
+        q[:, self.kinematics.shared] = shared(self.places)
+        return replace(self, q=q, shared=shared)
 
     @staticmethod
     def proved(kinematics: ArmKinematics, offset: Array, proof: Proof) -> ArmTrajectory:
@@ -61,7 +69,9 @@ class ArmTrajectory:
         i = self._piece(places)
         low, high = self.places[i], self.places[i + 1]
         share = (places - low) / (high - low)
-        q, _, solved = between(self.kinematics, T_world_object @ self.offset, self.q[i], self.q[i + 1], share)
+        given = None if self.shared is None else self.shared(places)
+        poses = T_world_object @ self.offset
+        q, _, solved = between(self.kinematics, poses, self.q[i], self.q[i + 1], share, given=given)
         for end, there in ((0.0, self.q[i]), (1.0, self.q[i + 1])):
             known = share == end
             q[known], solved[known] = there[known], True

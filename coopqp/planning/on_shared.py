@@ -61,6 +61,10 @@ class OnShared:
         pin.forwardKinematics(model, self._data, q)
         return self._arm.T_world_base * self._data.oMi[self._ids[-1]]
 
+    def shared(self, s: Array) -> Array:
+        """Positions of the joints that this arm shares, of those of its group (M, S)."""
+        return s[:, self._which]
+
     def seen(self, s: Array, poses: Array) -> Array:
         """Poses of the world (M, 4, 4) as the arm alone sees them, with the group's shared joints at ``s`` (M, S)."""
         rows = s[:, self._which]

@@ -189,8 +189,7 @@ class _Search:
         """Move the base of each arm in trouble: by −D where the path moved by D is followed; or why this is no help."""
         c = self.check
         options: list[list[Array]] = []
-        grouped = {k: group for group in c.cell.groups for k in group}
-        units = list(dict.fromkeys(grouped.get(k, (k,)) for k in self.bad))  # arms of one base
+        units = [arms for arms in c.cell.bases if not set(arms).isdisjoint(self.bad)]
         for unit in units:
             good: list[Array] = []
             for places in _PLACES:

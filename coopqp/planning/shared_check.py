@@ -27,7 +27,7 @@ from coopqp.planning.branch_checks import (
 from coopqp.planning.certificate import exactness
 from coopqp.planning.on_shared import OnShared, group_joints
 from coopqp.planning.segments import Segments
-from coopqp.planning.shared_way import SharedWay, few_samples, ways
+from coopqp.planning.shared_way import FEW, MOST_SAMPLES, SharedWay, ways_at
 from coopqp.spatial import Array
 
 #: Most further branches of an arm that are checked.
@@ -55,15 +55,14 @@ def check_group(
     """
     joints = group_joints(cell, group)
     arms = [OnShared(cell.arms[k], cell.columns[k], joints) for k in group]
-    chosen, places = few_samples(samples, segments)
-    tools = [(places, samples.tool_poses(grasp.T_object_tool[k])[chosen]) for k in group]
     at_start, near = None, None
     if positions is not None:
         at_start = positions[joints]
         near = [positions[cell.columns[k][arm.whole.columns[arm.own]]] for k, arm in zip(group, arms, strict=True)]
     best: tuple[tuple[int, float], list[list[BranchCheck]], SharedWay] | None = None
-    duration = np.diff(samples.clocks[chosen])
-    for way, starts in ways(cell, arms, group, tools, duration, at_start=at_start, near=near):
+    poses = [samples.tool_poses(grasp.T_object_tool[k]) for k in group]
+    every = ways_at(cell, arms, group, samples, segments, poses, (MOST_SAMPLES, FEW), at_start=at_start, near=near)
+    for way, starts in every:
         found = [
             _branches(arm, tool_path(segments, samples, grasp.T_object_tool[k]), way, own, alone=positions is not None)
             for k, arm, own in zip(group, arms, starts, strict=True)
@@ -105,7 +104,8 @@ def _branches(arm: OnShared, path: ToolPath, way: SharedWay, starts: Array, *, a
         q = walks.q[m, : int(walks.reached[m]) + 1]
         if arm.alone.n > 6:
             q = led_inside(arm.alone, seen, q, exact)
-        out.append(check_trajectory(arm.whole, path, arm.joined(s[: len(q)], q)))
+        found = check_trajectory(arm.whole, path, arm.joined(s[: len(q)], q))
+        out.append(replace(found, trajectory=found.trajectory.with_shared(lambda at: arm.shared(way.at(at)))))
     return out
 
 

@@ -28,7 +28,9 @@ from coopqp.spatial import Array
 #: Positions of one shared joint in the grid, of each of two, of three, and of more.
 _GRID = (13, 7, 4, 3)
 #: Samples of the path in a table, and the most branches of an arm.
-_MOST_SAMPLES, _MOST_BRANCHES = 48, 8
+MOST_SAMPLES, _MOST_BRANCHES = 48, 8
+#: Samples of another table, where none of the ways in the first is good: of a redundant arm it may reach further.
+FEW = 16
 #: Longest step of a joint between neighbours of a table [rad or m], and Newton steps for it.
 _STEP, _STEPS = 0.8, 12
 #: A way is taken if the score of all arms is at least this, the first one that is found.
@@ -121,6 +123,32 @@ def ways(
             rows = table.starts[[b, *others], which[0]]
             starts.append(rows[np.isfinite(rows).all(axis=1)])
         yield way, starts
+
+
+def ways_at(
+    cell: RobotCell,
+    arms: Sequence[OnShared],
+    group: tuple[int, ...],
+    samples: PathSamples,
+    segments: Segments | None,
+    poses: Sequence[Array],
+    numbers: Sequence[int],
+    *,
+    at_start: Array | None = None,
+    near: Sequence[Array] | None = None,
+) -> Iterator[tuple[SharedWay, list[Array]]]:
+    """:func:`ways` through tables of several numbers of samples, one after the other.
+
+    Args:
+        cell, arms, group, at_start, near: as of :func:`ways`.
+        samples, segments: the path.
+        poses: T_world_tool of each arm at the samples (K, 4, 4).
+        numbers: of samples in a table.
+    """
+    for most in numbers if len(samples.clocks) > min(numbers) else numbers[:1]:
+        chosen, places = few_samples(samples, segments, most=most)
+        tools = [(places, T[chosen]) for T in poses]
+        yield from ways(cell, arms, group, tools, np.diff(samples.clocks[chosen]), at_start=at_start, near=near)
 
 
 def _grid(cell: RobotCell, joints: Indices, at_start: Array | None) -> tuple[Array, list[list[int]]]:
@@ -363,10 +391,10 @@ def places_of(samples: PathSamples, segments: Segments | None) -> Array:
     return np.where(np.abs(places - whole) < 1e-6, whole, places)
 
 
-def few_samples(samples: PathSamples, segments: Segments | None) -> tuple[Indices, Array]:
-    """Numbers of some samples of a path, its corners among them, and the places of these (K,)."""
+def few_samples(samples: PathSamples, segments: Segments | None, *, most: int = MOST_SAMPLES) -> tuple[Indices, Array]:
+    """Numbers of ``most`` samples of a path and of its corners, and the places of these (K,)."""
     clocks, places = samples.clocks, places_of(samples, segments)
-    chosen = np.unique(np.linspace(0, len(clocks) - 1, min(_MOST_SAMPLES, len(clocks))).astype(np.intp))
+    chosen = np.unique(np.linspace(0, len(clocks) - 1, min(most, len(clocks))).astype(np.intp))
     if segments is not None:
         chosen = np.union1d(chosen, np.flatnonzero(places == np.round(places)))
     chosen = chosen[np.r_[True, np.diff(places[chosen]) > 0.0]]

@@ -22,11 +22,11 @@ from coopqp.model.grasp import Grasp
 from coopqp.model.inverse_kinematics import newton
 from coopqp.paths.moving_grasps import HOLD_ON, refuse_motion, refuse_ways
 from coopqp.paths.path import ObjectPath
-from coopqp.planning.arm_starts import ArmOnPath, BranchAlongPath, arm_on_path, arm_on_shared, rolled, trouble
+from coopqp.planning.arm_starts import ArmOnPath, BranchAlongPath, arm_on_path, rolled, trouble
 from coopqp.planning.clearance_check import Bodies, check_scene
 from coopqp.planning.on_shared import OnShared, group_joints
 from coopqp.planning.segments import segments_of
-from coopqp.planning.shared_way import few_samples, places_of, ways
+from coopqp.planning.shared_starts import group_on_path
 from coopqp.spatial import Array
 
 #: Rolls of the tool that are tried for a remedy [deg], the most usual first.
@@ -203,19 +203,8 @@ def _of_groups(cell: RobotCell, grasp: Grasp, path: ObjectPath, samples: PathSam
     for group in cell.groups:
         joints = group_joints(cell, group)
         arms = [OnShared(cell.arms[k], cell.columns[k], joints) for k in group]
-        chosen, places = few_samples(samples, segments)
-        tools = [(places, samples.tool_poses(grasp.T_object_tool[k])[chosen]) for k in group]
-        out |= dict.fromkeys(group)
-        s_places = places_of(samples, segments)
-        for way, starts in ways(cell, arms, group, tools, np.diff(samples.clocks[chosen])):
-            s = way.at(s_places)
-            made = [
-                arm_on_shared(arm, samples, samples.tool_poses(grasp.T_object_tool[k]), s, own)
-                for k, arm, own in zip(group, arms, starts, strict=True)
-            ]
-            out |= dict(zip(group, made, strict=True))
-            if all(on_path.branches and on_path.branches[0].feasible for on_path in made):
-                break
+        found = group_on_path(cell, arms, group, samples, segments, [grasp.T_object_tool[k] for k in group])
+        out |= dict.fromkeys(group) if found is None else dict(zip(group, found.arms, strict=True))
     return out
 
 

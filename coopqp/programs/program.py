@@ -19,7 +19,7 @@ from coopqp.native.constants import SEGMENT
 from coopqp.paths.grasp_motion import ATTACH_M, ATTACH_RAD, GraspMotion, GraspPiece, still_from
 from coopqp.paths.guarded import GuardedPath, is_known
 from coopqp.paths.joint_path import JointPiece
-from coopqp.paths.moving_grasps import grasp_at
+from coopqp.paths.moving_grasps import HOLD_ON, grasp_at, refuse_motion
 from coopqp.paths.path import HoldPath, ObjectPath, SegmentedPath
 from coopqp.paths.section import breakpoints
 from coopqp.programs.joint_ways import joint_piece
@@ -166,7 +166,6 @@ class Program(SegmentedPath):
         q_start: ArrayLike | None = None,
     ) -> None:
         grasp.check_arms(cell)
-        cell.refuse_shared("Program")
         self.attach_m = as_scalar(attach_m, "Program: attach_m")
         self.attach_rad = as_scalar(attach_rad, "Program: attach_rad")
         self.phases = tuple(phases)
@@ -185,6 +184,8 @@ class Program(SegmentedPath):
             )
         self._search(cell, grasp, q_start)
         self._place(cell, grasp)
+        if cell.groups:
+            refuse_motion(self, "Program", HOLD_ON)
         known = {name for _, name in self.gates}
         for name in signals or {}:
             if name not in known:

@@ -23,7 +23,8 @@ from coopqp.model.shapes import Body, Box
 from coopqp.model.tool_guess import axis_out
 from coopqp.paths.path import LinePath
 from coopqp.spatial import Array
-from coopqp.studies.placing import CellPlaced, Goals, Placer
+from coopqp.studies.placed import CellPlaced, Goals
+from coopqp.studies.placing import Placer
 
 #: Samples of an arm, and how far from straight down their tools may point before they are turned down [rad].
 _SAMPLES, _TILT = 6000, math.radians(45.0)

@@ -22,9 +22,11 @@ from coopqp.files.cellfile.explain import explain
 from coopqp.files.cellfile.paths import resolve
 from coopqp.files.cellfile.strict import Number, Table, build_options, problem, table_of
 from coopqp.files.cellfile.text import read_tables
+from coopqp.model.cell import RobotCell
 from coopqp.scenarios import SCENARIOS
 from coopqp.studies.errors import StudyError
-from coopqp.studies.placing import CellPlaced, Goals, Placer
+from coopqp.studies.placed import CellPlaced, Goals
+from coopqp.studies.placing import Placer
 
 #: Largest accepted number of values of an axis, and of placements of a map.
 MAX_VALUES, MAX_PLACEMENTS = 500, 100_000
@@ -57,11 +59,37 @@ class AxisTable(Table):
 class BaseTable(Table):
     """Where one base stands: numbers, and names of axes, as "h" or "-h"."""
 
-    arm: Name = Field(description="name of the arm")
+    arm: Name | None = Field(default=None, description="name of the arm; or give robot")
+    robot: Name | None = Field(default=None, description="name of the robot whose arms stand on the base")
     xyz_m: Annotated[list[_Place], Len(3, 3)] = Field(description="position in the world")
     yaw_deg: Angle | Name | None = Field(
         default=None, description="turn about the world's z axis (default: as in the cell)"
     )
+
+    @model_validator(mode="after")
+    def _one_name(self) -> BaseTable:
+        exactly_one(self, "arm", "robot")
+        return self
+
+    def arms(self, cell: RobotCell) -> tuple[int, ...]:
+        """The indices of the arms on the base.
+
+        Raises:
+            UnknownNameError: no such arm or robot.
+            StudyError: the arm is a robot's, whose base moves as a whole.
+        """
+        if self.robot is not None:
+            robots = tuple(dict.fromkeys(arm.robot for arm in cell.arms if arm.robot))
+            if self.robot not in robots:
+                raise UnknownNameError("robot", self.robot, robots, "bases")
+            return tuple(k for k, arm in enumerate(cell.arms) if arm.robot == self.robot)
+        k = cell.index(str(self.arm))
+        if robot := cell.arms[k].robot:
+            raise StudyError(
+                f"bases: arm '{self.arm}' stands on the base of robot '{robot}', which moves as a whole. Give robot "
+                f'= "{robot}" in place of the arm.'
+            )
+        return (k,)
 
 
 if TYPE_CHECKING:
@@ -217,10 +245,16 @@ def _study(file: PlaceFile, folder: Path) -> PlaceStudy:
     for table in file.bases:
         for entry in (*table.xyz_m, table.yaw_deg):
             if isinstance(entry, str) and entry.removeprefix("-") not in file.axes:
-                raise UnknownNameError("axis", entry.removeprefix("-"), file.axes, f"bases: arm '{table.arm}'")
-    tables = {cell.index(table.arm): table for table in file.bases}
-    if len(tables) < len(file.bases):
-        raise StudyError("bases: an arm has two tables. Give it one.")
+                at = f"arm '{table.arm}'" if table.robot is None else f"robot '{table.robot}'"
+                raise UnknownNameError("axis", entry.removeprefix("-"), file.axes, f"bases: {at}")
+    tables: dict[int, BaseTable] = {}
+    for table in file.bases:
+        for k in table.arms(cell):
+            if k in tables:
+                raise StudyError(
+                    f"bases: {'an arm' if table.robot is None else 'a robot'} has two tables. Give it one."
+                )
+            tables[k] = table
     if len(file.axes) <= 2 and np.prod([axis.number for axis in file.axes.values()]) > MAX_PLACEMENTS:
         raise StudyError(f"axes: more than {MAX_PLACEMENTS} placements. Take fewer values.")
     placer = Placer(cell, grasp, path, goals=goals, scene=scene if file.distances else None)

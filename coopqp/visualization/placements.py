@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from coopqp.studies.placing import CellPlaced
+from coopqp.studies.placed import CellPlaced
 from coopqp.visualization.style import INK, RED, label, new_figure, plain
 
 if TYPE_CHECKING:

@@ -56,6 +56,20 @@ def test_forces_after_an_arm_has_attached_are_those_before_it_let_go(make: Any) 
     assert np.linalg.norm(there.translation - moved.translation) < 2e-3
 
 
+def test_an_object_does_not_swing_on_the_arms_that_still_hold_it() -> None:
+    """The path correction from measurements takes damping from the drives: slower where fewer arms hold, it is enough."""
+    task = hand_over()
+    plant, turned = PhysicsPlant.of(task), list[tuple[float, float]]()
+
+    def see(step: ControlStep) -> None:
+        away = task.path.pose(step.clock).actInv(plant.T_world_object)
+        turned.append((step.clock, float(np.linalg.norm(pin.log3(away.rotation)))))
+
+    simulate(QPController(task.cell, task.grasp, task.path, dt=0.004), plant, q_start=task.q_start, observe=see)
+    early, late = (max(x for at, x in turned if low < at < low + 0.3) for low in (0.9, 2.0))
+    assert late < 1.05 * early  # 4 times as much with the time constant of three arms
+
+
 def test_what_the_engine_cannot_follow_is_refused_by_name() -> None:
     task = pliers()
     controller = QPController(task.cell, task.grasp, task.path, dt=0.005)

@@ -24,7 +24,7 @@ from coopqp.control.monitoring.supervision import as_configuration
 from coopqp.control.operator.way import Way
 from coopqp.control.options import QPOptions
 from coopqp.control.step.constraint_set import Constraints
-from coopqp.control.step.contact import Contact, handed
+from coopqp.control.step.contact import Contact, filter_time, handed
 from coopqp.control.step.decoding import STATUSES, RecordReader
 from coopqp.control.step.linearised import LinearisedStep, StepInput, is_long
 from coopqp.control.step.priorities import StepSolver
@@ -424,7 +424,7 @@ class CompiledLoop:
         measured = bool(p.has_measured) and self._loop.drifted != 0.0
         if measured and drifted:  # as it went on under the shares of the step before
             kept = handed(*(x.reshape(-1, 6) for x in (at["shares"], shares, at["measured_away"])))
-            change = p.dt / (p.dt + self.options.measurement_time) * kept
+            change = p.dt / (p.dt + filter_time(self.options.measurement_time, at["holding"])) * kept
             at["latched"][:] += kept
             at["drift"][:] += change
             at["measured"][:] += (0.0 if p.hold else p.watch_cap) * change

@@ -108,6 +108,7 @@ class Supervision:
     """The watch of one controller, with steps of about ``dt`` [s].
 
     Attributes:
+        holds: which arms hold the object (N,).
         servos: compares with the wrenches where forces are monitored; None where they are not.
     """
 
@@ -129,7 +130,7 @@ class Supervision:
 
     def hold(self, holds: Flags) -> None:
         """Say which arms hold the object from now on (N,): these are compared with each other."""
-        self._holds, self._from_others = holds, from_others(holds)
+        self.holds, self._from_others = holds, from_others(holds)
 
     def reset(self) -> None:
         """Forget."""
@@ -230,7 +231,7 @@ class Supervision:
         if len(away) > 1 and o.slow_from is not None:
             at_grasps = (away if servos is None else away + servos.shift) @ self._at_grasps
             lost = self._keep_where_lost(measured, at_grasps)
-            if (self._holds != s.held).any():
+            if (self.holds != s.held).any():
                 self._take_over()
             self._watch_distances(x_commanded, at_grasps, lost, dt, result, rigid=servos is not None)
         if servos is not None:
@@ -241,7 +242,7 @@ class Supervision:
             self._watch_stall(x_measured, x_commanded, dt, result, rigid=servos is not None)
         if self._stress is not None:
             self._watch_stress(self._stress, measured, commanded, dt, result)
-        several = self._holds.sum() > 1
+        several = self.holds.sum() > 1
         if several and twist is not None and self.servos is None and self._stress is None and o.slow_from is not None:
             self._watch_lag(twist, dt, result)
         if o.recovery_time > 0.0:
@@ -258,7 +259,7 @@ class Supervision:
 
     def _take_over(self) -> None:
         """Other arms hold than in the sample before."""
-        s, now = self._s, self._holds
+        s, now = self._s, self.holds
         s.lag.take_over(mean_where(now, s.deviation) - mean_where(s.held, s.deviation))
         s.drift.take_over(s.deviation, s.held, now)
         if self.servos is not None:
@@ -290,7 +291,7 @@ class Supervision:
         s.deviation = s.deviation + (1.0 - keep) * (away - s.deviation)
         passed = math.sqrt((1.0 - keep) / (1.0 + keep))  # share of the noise
         s.samples = min(s.samples + 1.0, NOISE_TIME / dt)
-        noise = passed * noise_seen(away, s.away, s.step, s.noise, s.samples, self._holds)
+        noise = passed * noise_seen(away, s.away, s.step, s.noise, s.samples, self.holds)
         apart = out_of_step = self._from_others @ s.deviation
         if o.let_in > 0.0 and rigid:
             out_of_step = s.drift.followed(apart, commanded, dt)
@@ -299,7 +300,7 @@ class Supervision:
         self._count_far(away, self._from_others @ away - (apart - out_of_step), lost)
         distances = np.linalg.norm(out_of_step, axis=1)
         worst = float(distances.max()) - o.noise_margin * noise
-        s.quiet = o.noise_margin * noise / math.sqrt(max(self._holds.sum(), 1)) + max(worst, 0.0)
+        s.quiet = o.noise_margin * noise / math.sqrt(max(self.holds.sum(), 1)) + max(worst, 0.0)
         if worst <= o.slow_from or s.samples < FEW_SAMPLES:
             return
         # Two arms are always equally far from each other: blame the arm that is farther from its command.
@@ -316,7 +317,7 @@ class Supervision:
 
         A sample that the arm farthest from its command has lost says nothing.
         """
-        if not lost[np.where(self._holds, np.linalg.norm(away, axis=1), -1.0).argmax()]:
+        if not lost[np.where(self.holds, np.linalg.norm(away, axis=1), -1.0).argmax()]:
             far = np.square(unfiltered).sum(axis=1).max() >= self._options.fault_from**2
             self._s.far = self._s.far + 1 if far else 0
 
@@ -363,7 +364,7 @@ class Supervision:
             self._at_grasps,
             rotation,
             hasty,
-            holds=self._holds,
+            holds=self.holds,
             way=self._s.drift.way,
             dt=dt,
             filter_time=o.filter_time,
@@ -383,7 +384,7 @@ class Supervision:
         s = self._s
         velocity, settled = twist @ self._at_grasps, s.samples >= FEW_SAMPLES
         excess, arm = s.lag.look(
-            mean_where(self._holds, s.deviation), velocity, s.quiet, dt, holds=self._holds, settled=settled
+            mean_where(self.holds, s.deviation), velocity, s.quiet, dt, holds=self.holds, settled=settled
         )
         cap = excess_cap(excess)
         if arm >= 0 and cap < result.rate_cap:
@@ -393,7 +394,7 @@ class Supervision:
     def _watch_stress(self, stress: StressWatch, measured: Array, commanded: Array, dt: float, result: Watch) -> None:
         """Arms that press too hard on the object, or soon will, hold it until they press less than half as hard."""
         limit, s = self._options.force_limit, self._s
-        stress.read(measured, commanded, dt, self._holds)
+        stress.read(measured, commanded, dt, self.holds)
         most = int(stress.forces.argmax())
         force = float(stress.forces[most])
         soon = stress.soon(most, limit)

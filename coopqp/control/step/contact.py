@@ -18,7 +18,7 @@ from coopqp.model.cell import RobotCell
 from coopqp.model.grasp import Grasp, mean_pose
 from coopqp.native.constants import SAME_CLOCK
 from coopqp.paths.grasp_motion import GraspMotion
-from coopqp.spatial import Array
+from coopqp.spatial import Array, Flags
 
 
 @final
@@ -75,6 +75,17 @@ class Contact:
             f"arm {name} is {1e3 * far:.2f} mm and {np.rad2deg(turned):.2f}° from its grasp where it attaches "
             f"(at most {1e3 * motion.attach_m:g} mm and {np.rad2deg(motion.attach_rad):.2g}°)"
         )
+
+
+def filter_time(time: float, holds: Array | Flags | Sequence[bool]) -> float:
+    """Time constant [s] of the filter of the measured object error while h of N arms hold (N,): T (N/h)².
+
+    The path correction takes ``K / (2 ω (1 + ω² T²))`` from the damping ratio of a mode at ω in which the object swings
+    on its arms, with the gain K. Fewer arms hold it less stiffly, with ω² smaller by h/N: as long as ω T > 0.5 the
+    share that is taken does not grow then.
+    """
+    fewer = len(holds) / float(np.sum(holds))
+    return fewer * fewer * time
 
 
 def handed(shares: Array, before: Array, away: Array) -> Array:

@@ -30,7 +30,7 @@ from coopqp.control.operator.way import Way
 from coopqp.control.options import QPOptions
 from coopqp.control.step.braking_rows import BrakingRows
 from coopqp.control.step.constraint_set import Constraints
-from coopqp.control.step.contact import Contact, handed
+from coopqp.control.step.contact import Contact, filter_time, handed
 from coopqp.control.step.linearised import LinearisedAnswer, LinearisedStep, StepInput, mean_error
 from coopqp.control.step.priorities import StepSolver
 from coopqp.control.step.rate_cap import OVERRIDE, RateCap
@@ -323,7 +323,8 @@ class PlainLoop:
             if s.drift is not None and self._motion is not None:
                 s.latched = s.latched + handed(self._shares, shares, away)
             drift, mean = np.zeros(6) if s.drift is None else s.drift, self._mean(away) + s.latched
-            s.drift = drift + seen.h / (seen.h + self.options.measurement_time) * (mean - drift)
+            time = filter_time(self.options.measurement_time, self._supervision.holds)
+            s.drift = drift + seen.h / (seen.h + time) * (mean - drift)
             twist = self._twist(seen.carried[0])
             watch.lower(self._supervision.watch(measured, s.q, away, seen.h, s.v, seen.pose.rotation, twist))
         self._take_contact(watch, held)
