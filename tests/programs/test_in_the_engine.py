@@ -57,7 +57,7 @@ def test_forces_after_an_arm_has_attached_are_those_before_it_let_go(make: Any) 
 
 
 def test_an_object_does_not_swing_on_the_arms_that_still_hold_it() -> None:
-    """The path correction from measurements takes damping from the drives: slower where fewer arms hold, it is enough."""
+    """The measured path correction takes damping from the drives: slower while fewer arms hold, it leaves enough."""
     task = hand_over()
     plant, turned = PhysicsPlant.of(task), list[tuple[float, float]]()
 
