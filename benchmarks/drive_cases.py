@@ -12,7 +12,7 @@ from typing import Any
 import common  # noqa: F401  # first: it limits BLAS to one thread
 import numpy as np
 from drive_runs import CELL, DT, LIFT, SENT, Event, Row, drive, halt, kill, limit, release, resume, time_of
-from drive_shared import shared_joints
+from drive_shared import beside_a_lift, shared_joints
 
 from coopqp import QPController
 from coopqp.control import StallBound
@@ -230,3 +230,5 @@ def operators(calls: int = 100_000) -> Iterator[Row]:
 
 
 QUICK = (lags, half_speed, stops_gripped, stops_free, killed, shared_joints, hostile, operators)
+#: Of simulated robots, too, and left out with ``--quick``: a minute.
+LONGER = (beside_a_lift,)

@@ -62,7 +62,7 @@ def _by_urdf(urdf: str, scenario: Scenario, rows: Array) -> Array:
 
 
 def shared_joints() -> Iterator[Row]:
-    """Robots with shared joints: a lift and a rail with two arms each as one robot, and an arm beside the lift."""
+    """Robots with shared joints: a lift and a rail with two arms each as one robot."""
     alone = dual_arm7()
     alone = replace(alone, cell=alone.cell.with_limits(acceleration=10.0))
     for name, urdf, s in (
@@ -75,6 +75,10 @@ def shared_joints() -> Iterator[Row]:
         apart = 1e3 * (_by_urdf(urdf, s, run.q[::5]) if urdf else run.apart())
         yield Row(f"{name}, lag 40 ms learnt: apart, median", float(np.median(apart)), 0.03, "mm")
         yield Row(f"{name}, lag 40 ms learnt: apart", float(apart.max()), 0.5, "mm")
+
+
+def beside_a_lift() -> Iterator[Row]:
+    """A lift with two arms as one robot, and an arm beside it: slower than told, stopped, killed."""
     s, name = _tower(), "two arms on a lift and an arm beside it"
     free = drive((0.007, 0.047), told=False, scenario=s)
     yield Row(f"{name}, lags 7, 47 ms learnt: time", time_of(free), s.path.duration + 0.2, "s")

@@ -27,13 +27,14 @@ def test_a_figure_holds_up_to_its_bound(
     assert [record["holds"] for record in records] == [True, False, False]
     said = capsys.readouterr().out
     assert said.count("BROKEN") == 2
-    assert said.count("left out:") == 2 * len(drive.ELSEWHERE + drive_peers.PEERS)
+    assert said.count("left out:") == 2 * len(drive.ELSEWHERE + drive_cases.LONGER + drive_peers.PEERS)
 
 
 def test_what_lacks_its_peer_is_named(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
     monkeypatch.setattr(drive_peers, "ROS", "")
     monkeypatch.setattr(drive_peers, "PEERS", (drive_peers.echo, drive_peers.minutes))
     monkeypatch.setattr(drive_cases, "QUICK", ())
+    monkeypatch.setattr(drive_cases, "LONGER", ())
     assert drive.main([]) == 0
     assert capsys.readouterr().out.count(drive_peers.NEEDS_ROS) == 2
 
