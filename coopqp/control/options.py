@@ -38,7 +38,13 @@ class QPOptions:
     path_gain: Annotated[float, Doc("gain K_p of the path correction [1/s], in the same way")] = 20.0
     correction_speed: Annotated[float, Doc("largest speed of each correction [m/s]")] = 0.1
     correction_spin: Annotated[float, Doc("largest angular speed of each correction [rad/s]")] = 0.4
-    measurement_time: Annotated[float, Doc("time constant of the filter of the measured object error [s]")] = 0.02
+    measurement_time: Annotated[
+        float,
+        Doc(
+            "time constant of the filter of the measured object error [s]; while h of N arms hold the object it counts "
+            "(N/h)² times"
+        ),
+    ] = 0.02
     common_error: Annotated[
         CommonError, Doc("weights that define the object pose; the first arm defines it by default")
     ] = field(default_factory=CommonError.leader)
