@@ -80,8 +80,8 @@ class Contact:
 def filter_time(time: float, holds: Array | Flags | Sequence[bool]) -> float:
     """Time constant [s] of the filter of the measured object error while h of N arms hold (N,): T (N/h)².
 
-    The path correction takes up to ``K / (2 ω (1 + ω² T²))`` from the damping ratio of a mode at ω in which the object swings
-    on its arms, with the gain K. Fewer arms hold it less stiffly, with ω² smaller by h/N: with ω T > 1/3 the
+    The path correction takes up to ``K / (2 ω (1 + ω² T²))`` from the damping ratio of a mode at ω in which the object
+    swings on its arms, with the gain K. Fewer arms hold it less stiffly, with ω² smaller by h/N: for ω T > 1/3 the
     share that is taken does not grow then.
     """
     fewer = len(holds) / float(np.sum(holds))
