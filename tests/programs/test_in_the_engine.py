@@ -12,7 +12,7 @@ from runs import limited_once
 
 from coopqp import ControlStep, InvalidInputError, LinePath, QPController
 from coopqp.programs import Phase, Program, Travels
-from coopqp.scenarios import hand_over, paper_lift, pliers
+from coopqp.scenarios import draw_on_plate, hand_over, paper_lift, pliers
 from coopqp.simulation import PhysicsPlant, simulate
 
 pytest.importorskip("mujoco")
@@ -54,6 +54,18 @@ def test_forces_after_an_arm_has_attached_are_those_before_it_let_go(make: Any) 
     moved = task.path.grasp_at(task.grasp, task.path.duration).T_object_tool[apart]
     there = plant.T_world_object.actInv(plant.T_world_tool[apart])
     assert np.linalg.norm(there.translation - moved.translation) < 2e-3
+
+
+def test_an_arm_that_does_not_hold_at_first_bears_nothing_from_the_start() -> None:
+    task = draw_on_plate()
+    plant = PhysicsPlant.of(task)
+    plant.reset(task.q_start)
+    forces = plant.wrenches()[:, :3]
+    assert np.abs(forces[2]).max() == 0.0
+    np.testing.assert_allclose(forces.sum(axis=0), [0.0, 0.0, 9.81 * task.object_mass], atol=0.5)
+    for holds in ((True, False), (False, False, False)):
+        with pytest.raises(InvalidInputError, match="holds"):
+            PhysicsPlant.of(task, holds=holds)
 
 
 def test_an_object_does_not_swing_on_the_arms_that_still_hold_it() -> None:

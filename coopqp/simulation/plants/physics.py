@@ -68,6 +68,7 @@ class PhysicsPlant:
         palms: palms that press on the box in place of welds, one per arm: square pads around their discs, with contacts
             and friction. The box lies on a smooth stand, its z axis up, until the first command with a rate above 0.
             The drives take over its load as soon as all palms press with their ``squeeze``.
+        holds: which arms hold the object at first (N,); by default all.
 
     Attributes:
         stiffness: kp of the servos (nv,) [N·m/rad or N/m]; of torque-controlled drives ω² times the inertia
@@ -94,6 +95,7 @@ class PhysicsPlant:
         disturbances: Disturbances | None = None,
         load: LoadShare | None = None,
         palms: Sequence[Grip] | None = None,
+        holds: Sequence[bool] | None = None,
     ) -> None:
         require_mujoco()
         require(grasp, Grasp, "PhysicsPlant: grasp", "Give a Grasp of the placements.")
@@ -164,18 +166,22 @@ class PhysicsPlant:
         self.time, self._clock = 0.0, 0.0
         self._torque, self._velocity = np.zeros(cell.nv), np.zeros(cell.nv)
         self._limited = np.zeros(cell.nv, dtype=bool)
-        #: Which arms hold the object.
-        self._holds = (True,) * len(cell)
+        #: Which arms hold the object: at first, and now.
+        self._held_first = self._holds = (True,) * len(cell) if holds is None else tuple(map(bool, holds))
+        if len(self._holds) != len(cell) or not any(self._holds):
+            raise InvalidInputError(f"{holds}", "PhysicsPlant: holds", "Tell it of each arm; one holds at least.")
 
     @staticmethod
     def of(scenario: Scenario, **more: Any) -> PhysicsPlant:
-        """Build the plant of a scenario from its cell, grasp and object.
+        """Build the plant of a scenario from its cell, grasp and object, and the arms that hold it at first.
 
         Args:
             scenario: whose they are.
             more: further arguments, or others in place of the scenario's.
         """
         given = {name: getattr(scenario, name) for name in ("object_size", "object_mass", "T_object_body")}
+        if (motion := scenario.path.grasps) is not None:
+            given["holds"] = motion.holds(0.0)
         return PhysicsPlant(scenario.cell, scenario.grasp, **{**given, **more})
 
     # -- the plant -----------------------------------------------------------------------------------------------
@@ -194,8 +200,12 @@ class PhysicsPlant:
         O = self._engine.grip(self._real_grasp.T_object_tool, where_they_are=self.options.grips == "where they are")
         if self._palms is not None:
             self._palms.reset(O)
-        self.time, self._holds = 0.0, (True,) * len(self.cell)
+        self.time, self._holds = 0.0, self._held_first
+        for k in np.flatnonzero(~np.array(self._holds)):
+            self._engine.open(int(k))
         self._feed_forward.reset()
+        if not all(self._holds):
+            self._feed_forward.hand_over(self._holds, self.grasp, 1.0)
         h = self.options.timestep
         still, torque = np.zeros(self.cell.nv), self._load_torque(start)
         if self._drives is not None:
