@@ -24,7 +24,7 @@ from coopqp.spatial import Array, skew
 #: Attributes that change.
 _VARYING = ("holds", "bears", "moved", "load_shares", "_goal", "_way", "_left", "_late", "hands_over")
 #: A share of the way, and a difference of shares, below which the load has been handed over.
-_ROUNDING, _SETTLED = 1e-9, 1e-4
+_ROUNDING, _SETTLED = 1e-10, 1e-4
 #: Which arms do something (N,); M of each, by which its tool has moved on the object; the arms' shares in the object's
 #: pose (N, 6) while some of them hold it.
 Holds: TypeAlias = tuple[bool, ...]

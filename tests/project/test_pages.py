@@ -219,6 +219,13 @@ def make_driver(block: str, place: Path, cell: str = "two_ur10") -> None:
     assert set(load_cell_file(file).drivers()) == {"left", "right"}
 
 
+def drive_robot(block: str, place: Path) -> None:
+    """The tables of the page make the drivers of a robot with a lift and two arms."""
+    file = place / "driven.toml"
+    file.write_text((CELLS / "torso_lift.toml").read_text(encoding="utf-8") + "\n" + block, encoding="utf-8")
+    assert set(load_cell_file(file).drivers()) == set(re.findall(r"^\[drivers\.(\w+)\]", block, flags=re.M))
+
+
 def run_ros2(block: str, place: Path) -> None:
     """Tables of a driver, and that of the loop's own topics."""
     if block.startswith("[drivers"):
@@ -231,6 +238,7 @@ def run_ros2(block: str, place: Path) -> None:
 
 TOML: dict[str, Callable[[str, Path], None]] = {
     "howto/cell-file.md": run_cell_file,
+    "howto/drive.md": drive_robot,
     "howto/drivers.md": run_driver,
     "howto/ros2.md": run_ros2,
     "howto/ur.md": make_driver,
