@@ -67,6 +67,7 @@ def test_what_is_placed_is_followed_by_one_robot(base: pin.SE3) -> None:
     assert "joints that arms share: lift/lift from" in placed.explain()
 
 
+@pytest.mark.slow
 def test_the_check_of_the_cell_built_there_agrees() -> None:
     cell, grasp = lift_cell()
     placer = Placer(cell, grasp, RISE)
@@ -75,6 +76,7 @@ def test_the_check_of_the_cell_built_there_agrees() -> None:
         assert placer.cell_at([base, base], quick=False).follows is check_path(built, grasp, RISE).feasible
 
 
+@pytest.mark.slow
 def test_the_robot_moves_as_a_whole() -> None:
     placer = placer_of()
     with pytest.raises(InvalidInputError, match="arms of robot 'lift' on several bases"):
@@ -152,6 +154,7 @@ def study(folder: Path, base: str = 'robot = "lift"') -> Path:
     return file
 
 
+@pytest.mark.slow
 def test_the_command_places_a_robot(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     out = tmp_path / "out"
     assert cli.main(["place", str(study(tmp_path)), "--out", str(out)]) == 3  # as built it is impossible
