@@ -25,7 +25,7 @@ from coopqp.scenarios import SHARED_JOINTS, paper_lift, robot_data_path, robot_p
 from coopqp.simulation import Recording
 from coopqp.spatial import Array
 from promise_cases import Promise
-from promise_cases.shared_cells import SIDES, TORSOS, lift_cell, median_step, say, torso_cell
+from promise_cases.shared_cells import SIDES, median_step, random_motion, say
 
 
 def promises(quick: bool) -> Iterator[Promise]:
@@ -126,16 +126,8 @@ def _certified(folder: Path, count: int) -> Iterator[PathCheck]:
         yield check_path(task.cell, task.grasp, task.path)
         made += 1
     while made < count:
-        if made % 2:
-            cell, grasp, _ = lift_cell()
-            start = np.array([rng.uniform(0.4, 0.65), rng.uniform(-0.15, 0.15), rng.uniform(0.2, 0.6)])
-            way = rng.uniform(-1.0, 1.0, 3) * [0.1, 0.15, 0.0] + [0.0, 0.0, rng.uniform(0.9, 1.5)]
-        else:
-            cell, grasp, _ = torso_cell(TORSOS[1], folder)
-            start = np.array([rng.uniform(0.4, 0.6), rng.uniform(-0.1, 0.1), rng.uniform(0.6, 0.9)])
-            way = rng.uniform(-1.0, 1.0, 3) * [0.15, 0.3, 0.4]
-        turn = pin.exp3(rng.uniform(-0.3, 0.3, 3))
-        check = check_path(cell, grasp, LinePath(pin.SE3(np.eye(3), start), pin.SE3(turn, start + way), duration=6.0))
+        cell, grasp, _, path = random_motion(rng, folder, lift=bool(made % 2))
+        check = check_path(cell, grasp, path)
         if check.verdict is PathVerdict.CERTIFIED:
             made += 1
             yield check

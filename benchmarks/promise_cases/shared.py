@@ -19,7 +19,7 @@ from coopqp.planning import PathCheck
 from coopqp.scenarios import SHARED_JOINTS, robot_path, scenario
 from coopqp.simulation import Recording
 from promise_cases import Promise
-from promise_cases.shared_cells import SIDES, TORSOS, Whole, lift_cell, median_step, say, torso_cell
+from promise_cases.shared_cells import SIDES, TORSOS, Whole, lift_cell, median_step, random_motion, say, torso_cell
 
 
 def _followed(check: PathCheck, *, dt: float = 0.01, longest: float = 30.0) -> Recording:
@@ -144,16 +144,7 @@ def _random(folder: Path, count: int) -> Iterator[Promise]:
     for number in range(count):
         say(f"random motion {number + 1} of {count}")
         lift = number % 2 == 0
-        if lift:
-            cell, grasp, file = lift_cell()
-            start = np.array([rng.uniform(0.4, 0.65), rng.uniform(-0.15, 0.15), rng.uniform(0.2, 0.6)])
-            way = rng.uniform(-1.0, 1.0, 3) * [0.1, 0.15, 0.0] + [0.0, 0.0, rng.uniform(0.9, 1.5)]
-        else:
-            cell, grasp, file = torso_cell(TORSOS[1], folder)
-            start = np.array([rng.uniform(0.4, 0.6), rng.uniform(-0.1, 0.1), rng.uniform(0.6, 0.9)])
-            way = rng.uniform(-1.0, 1.0, 3) * [0.15, 0.3, 0.4]
-        turn = pin.exp3(rng.uniform(-0.3, 0.3, 3))
-        path = LinePath(pin.SE3(np.eye(3), start), pin.SE3(turn, start + way), duration=6.0)
+        cell, grasp, file, path = random_motion(rng, folder, lift=lift)
         check = check_path(cell, grasp, path)
         good = check.feasible
         if lift:

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 
-from coopqp import Grasp, QPController, Robot, RobotCell
+from coopqp import Grasp, LinePath, QPController, Robot, RobotCell
 from coopqp.planning import PathCheck
 from coopqp.scenarios import robot_path
 from coopqp.simulation import Recording
@@ -75,6 +75,20 @@ def lift_cell(**options: Any) -> tuple[RobotCell, Grasp, Path]:
     ends = ((0.3, 0.5 * np.pi), (-0.3, -0.5 * np.pi))
     grasp = Grasp(tuple(pin.SE3(pin.rpy.rpyToMatrix(a, 0.0, 0.0), np.array([0.0, y, 0.0])) for y, a in ends))
     return RobotCell([robot]), grasp, robot_path("lift2")
+
+
+def random_motion(rng: np.random.Generator, folder: Path, *, lift: bool) -> tuple[RobotCell, Grasp, Path, LinePath]:
+    """A bar that a lift, or a robot with a waist, moves somewhere: the cell, the grasp, the URDF and the path."""
+    if lift:
+        cell, grasp, file = lift_cell()
+        start = np.array([rng.uniform(0.4, 0.65), rng.uniform(-0.15, 0.15), rng.uniform(0.2, 0.6)])
+        way = rng.uniform(-1.0, 1.0, 3) * [0.1, 0.15, 0.0] + [0.0, 0.0, rng.uniform(0.9, 1.5)]
+    else:
+        cell, grasp, file = torso_cell(TORSOS[1], folder)
+        start = np.array([rng.uniform(0.4, 0.6), rng.uniform(-0.1, 0.1), rng.uniform(0.6, 0.9)])
+        way = rng.uniform(-1.0, 1.0, 3) * [0.15, 0.3, 0.4]
+    turn = pin.exp3(rng.uniform(-0.3, 0.3, 3))
+    return cell, grasp, file, LinePath(pin.SE3(np.eye(3), start), pin.SE3(turn, start + way), duration=6.0)
 
 
 class Whole:

@@ -11,7 +11,7 @@ import pytest
 from coopqp import ForceController, InvalidInputError, QPController, simulate
 from coopqp.errors import StiffnessWarning
 from coopqp.native import available_kernels
-from coopqp.scenarios import paper_lift, scara_pair
+from coopqp.scenarios import paper_lift, scara_pair, torso_lift
 from coopqp.simulation import Disturbances, DisturbedPlant
 
 pytestmark = pytest.mark.filterwarnings("ignore::coopqp.errors.StiffnessWarning")
@@ -79,3 +79,10 @@ def test_only_arms_that_are_measured_are_asked_for_their_stiffness(kernel: str) 
         simulate(made, q_start=q, duration=2.0 * task.dt)
         watched.reset([q, q])
         ForceController(made, {"stiffness": 1e5}).reset(q, commanded=q)  # forces are minded: they show it
+
+
+def test_where_arms_share_joints_no_stiffness_is_asked_for_that_would_be_refused() -> None:
+    task = torso_lift()
+    controller = QPController(task.cell, task.grasp, task.path, dt=task.dt)
+    with pytest.warns(StiffnessWarning, match="let their drivers tell what the servos track"):
+        controller.reset(task.q_start, commanded=task.q_start)
