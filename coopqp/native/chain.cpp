@@ -67,6 +67,20 @@ template <int PAIRS = 1>
 using Rows = pair[6][3 + PAIRS];
 #define UNROLL _Pragma("GCC unroll 6")
 
+/* The answers of an eliminated system, whose pivots' inverses are given, in the right-hand sides' place. */
+template <int PAIRS>
+static inline void substitute_back(pair (&A)[6][3 + PAIRS], const double (&inverse)[6]) {
+    for (int b = 3; b < 3 + PAIRS; b++)
+        UNROLL for (int k = 5; k >= 0; k--) {
+            pair x = A[k][b];
+            UNROLL for (int j = k + 1; j < 6; j++) {
+                double f = A[k][j / 2][j % 2];
+                x -= pair{f, f} * A[j][b];
+            }
+            A[k][b] = x * pair{inverse[k], inverse[k]};
+        }
+}
+
 /* Solve by elimination with partial pivoting; the answers take the right-hand sides' place. Returns the smallest pivot, 0 if
  * the matrix is singular. */
 template <int PAIRS>
@@ -99,15 +113,43 @@ static double solve6(pair (&A)[6][3 + PAIRS]) {
             for (int j = first; j < 3 + PAIRS; j++) A[i][j] -= pair{f, f} * A[k][j];
         }
     }
-    for (int b = 3; b < 3 + PAIRS; b++)
-        UNROLL for (int k = 5; k >= 0; k--) {
-            pair x = A[k][b];
-            UNROLL for (int j = k + 1; j < 6; j++) {
-                double f = A[k][j / 2][j % 2];
-                x -= pair{f, f} * A[j][b];
-            }
-            A[k][b] = x * pair{inverse[k], inverse[k]};
+    substitute_back<PAIRS>(A, inverse);
+    return least;
+}
+
+/* The upper half of J S² Jᵀ of n joints, S = diag(scale). */
+template <int PAIRS>
+static void gram6(const double *jacobian, const double *scale, int n, pair (&A)[6][3 + PAIRS]) {
+    pair G[6][3] = {};
+    for (int j = 0; j < n; j++) {
+        pair column[3];
+        memcpy(column, jacobian + 6 * j, sizeof column);
+        const double square = scale[j] * scale[j];
+        UNROLL for (int i = 0; i < 6; i++) {
+            const double own = square * column[i / 2][i % 2];
+            UNROLL for (int k = i / 2; k < 3; k++) G[i][k] += pair{own, own} * column[k];
         }
+    }
+    for (int i = 0; i < 6; i++)
+        for (int k = i / 2; k < 3; k++) A[i][k] = G[i][k];
+}
+
+/* Solve as solve6 does, for a symmetric, positive semidefinite matrix of which the upper half is given: no pivoting. */
+template <int PAIRS>
+static inline double solve_gram6(pair (&A)[6][3 + PAIRS]) {
+    double scale = 0.0, least = INFINITY, inverse[6];
+    for (int i = 0; i < 6; i++) scale = A[i][i / 2][i % 2] > scale ? A[i][i / 2][i % 2] : scale;
+    UNROLL for (int k = 0; k < 6; k++) {
+        const double pivot = A[k][k / 2][k % 2];
+        if (!(pivot > SMALLEST_PIVOT * scale)) return 0.0;
+        least = pivot < least ? pivot : least;
+        inverse[k] = 1.0 / pivot;
+        UNROLL for (int i = k + 1; i < 6; i++) {
+            const double f = A[k][i / 2][i % 2] * inverse[k];
+            for (int j = i / 2; j < 3 + PAIRS; j++) A[i][j] -= pair{f, f} * A[k][j];
+        }
+    }
+    substitute_back<PAIRS>(A, inverse);
     return least;
 }
 
@@ -133,19 +175,19 @@ static double arm_velocities(const double *jacobian, const double *scale, int n,
         for (int j = 0; j < 6; j++) v0[j] = A[j][3][0], v1[j] = A[j][3][1];
         return least;
     }
-    const ArmVector squares = Given(scale, n).cwiseAbs2();
-    const ArmColumns weighted = J * squares.asDiagonal();
-    const Matrix6 G = weighted.lazyProduct(J.transpose());
-    const Vector6 first = w0 - J.lazyProduct(Given(u0, n)), second = w1 - J.lazyProduct(Given(u1, n));
-    for (int i = 0; i < 6; i++) {
-        for (int k = 0; k < 6; k++) A[i][k / 2][k % 2] = G(i, k);
-        A[i][3] = pair{first[i], second[i]};
+    pair missing[6]; /* w − J u */
+    UNROLL for (int i = 0; i < 6; i++) missing[i] = pair{w0[i], w1[i]};
+    for (int j = 0; j < n; j++)
+        UNROLL for (int i = 0; i < 6; i++) missing[i] -= J(i, j) * pair{u0[j], u1[j]};
+    UNROLL for (int i = 0; i < 6; i++) A[i][3] = missing[i];
+    gram6<1>(jacobian, scale, n, A);
+    if (!((least = solve_gram6<1>(A)) > 0.0)) return 0.0;
+    for (int j = 0; j < n; j++) {
+        pair along = {0.0, 0.0};
+        UNROLL for (int i = 0; i < 6; i++) along += J(i, j) * A[i][3];
+        along = pair{u0[j], u1[j]} + scale[j] * scale[j] * along;
+        v0[j] = along[0], v1[j] = along[1];
     }
-    if (!((least = solve6<1>(A)) > 0.0)) return 0.0;
-    Vector6 y0, y1;
-    for (int i = 0; i < 6; i++) y0[i] = A[i][3][0], y1[i] = A[i][3][1];
-    Eigen::Map<Eigen::VectorXd>(v0, n) = Given(u0, n) + weighted.transpose().lazyProduct(y0);
-    Eigen::Map<Eigen::VectorXd>(v1, n) = Given(u1, n) + weighted.transpose().lazyProduct(y1);
     return sqrt(least);
 }
 

@@ -86,9 +86,7 @@ static bool add_arm(Core *c, const Group &g, int k, const double *jacobian, cons
     if constexpr (OWN != 6) {
         const OfArm J(own, 6, n);
         weighted = J * Given(c->scale + start, n).cwiseAbs2().asDiagonal();
-        const Matrix6 G = weighted.lazyProduct(J.transpose());
-        for (int i = 0; i < 6; i++)
-            for (int j = 0; j < 6; j++) put(i, j, G(i, j));
+        gram6<PAIRS>(own, c->scale + start, n, A);
         for (int side = 0; side < 2; side++)
             if (wishes[side]) twists[side] -= J.lazyProduct(Given(wishes[side], n));
     }
@@ -97,7 +95,7 @@ static bool add_arm(Core *c, const Group &g, int k, const double *jacobian, cons
         A[i][3] = pair{twists[0][i], twists[1][i]};
         for (int j = 0; j < 2 * PAIRS - 2; j++) put(i, 8 + j, j < shared ? jacobian[6 * g.joint[j] + i] : 0.0);
     }
-    const double least = solve6<PAIRS>(A);
+    const double least = OWN == 6 ? solve6<PAIRS>(A) : solve_gram6<PAIRS>(A);
     c->least_pivot[k] = OWN == 6 ? least : sqrt(least);
     if (!(least > WELL_INVERTED)) return false;
     for (int b = 0; b < 2 + shared; b++) {

@@ -333,6 +333,11 @@ class CompiledLoop:
         return self.cell.configuration_of(self.at["positions"])
 
     @property
+    def positions(self) -> Array:
+        """Commanded joint positions (nv,)."""
+        return self.at["positions"]
+
+    @property
     def velocity(self) -> Array:
         """Commanded joint velocities of the last step (nv,)."""
         return self.at["velocity"]

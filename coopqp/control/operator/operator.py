@@ -233,7 +233,7 @@ class Operator:
     def begin_trail(self) -> None:
         """The run begins here."""
         if self.trail is not None:
-            self.trail.begin(self.clock, self._loop.q)
+            self.trail.begin(self.clock, self._loop.positions)
 
     def ask(self, change: Change) -> None:
         """Make a change now, or as soon as it is admissible; it takes the place of one that waits."""
@@ -365,7 +365,7 @@ class Operator:
 
     def _follow(self, way: Way, clock: float, rate: float) -> None:
         if way.sense > 0 and self.way.sense < 0 and self.trail is not None:
-            self.trail.cut(self.clock, self._loop.q)
+            self.trail.cut(self.clock, self._loop.positions)
         self.way = way
         self.looks_in = self._looked = 1
         self._loop.follow(way.path, way)
@@ -445,7 +445,7 @@ class Operator:
         """Note the trail; whether the end of a section is reached. The next look is due before it can be."""
         way, loop, trail = self.way, self._loop, self.trail
         if trail is not None and way.sense > 0 and trail.due(self._looked):
-            trail.note(way.clock_of(loop.clock), loop.q, loop.velocity, loop.rate)
+            trail.note(way.clock_of(loop.clock), loop.positions, loop.velocity, loop.rate)
         left = math.inf if way.whole or way.sense == 0 else way.path.duration - loop.clock
         most = _MOST_BETWEEN if trail is None or way.sense <= 0 else trail.stride
         soon = min(left, self._contact_ahead, 1e6)

@@ -5,7 +5,6 @@ from __future__ import annotations
 from typing import final
 
 import numpy as np
-import pinocchio as pin
 
 from coopqp.model.cell import RobotCell
 from coopqp.paths.elbows import Elbows
@@ -33,54 +32,57 @@ class Trail:
     """
 
     def __init__(self, cell: RobotCell, *, dt: float) -> None:
-        self._cell, self._turns_on = cell, not cell.euclidean
+        self._turning = np.flatnonzero(cell.continuous)
         self._first_stride = self.stride = max(1, round(_BETWEEN / dt))
         self._left = self.stride
-        #: Clock [s], positions (nv,) and their change per second of the clock (nv,), None where it is not known.
-        self._knots: list[tuple[float, Array, Array | None]] = []
-        self._last_q: Array | None = None
+        #: Clock [s], positions and velocities (nv,), path speed σ; no velocities where they are not known.
+        self._knots: list[tuple[float, Array, Array | None, float]] = []
+        self._last: Array | None = None  # positions as they were given
 
     def __len__(self) -> int:
         return len(self._knots)
 
-    def begin(self, clock: float, q: Array) -> None:
-        """Start anew at a configuration (nq,)."""
+    def begin(self, clock: float, x: Array) -> None:
+        """Start anew at joint positions (nv,)."""
         self.stride = self._left = self._first_stride
-        self._knots = [(clock, self._cell.positions(q), None)]
-        self._last_q = np.array(q)
+        self._last = x.copy()
+        self._knots = [(clock, self._last, None, 0.0)]
 
     def due(self, steps: int = 1) -> bool:
         """Count steps; whether the end of the last one is a knot."""
         self._left -= steps
         return self._left <= 0
 
-    def note(self, clock: float, q: Array, velocity: Array, rate: float) -> None:
-        """A knot at the end of a step: where the arms are (nq,), with what velocities (nv,), at a path speed σ."""
+    def note(self, clock: float, x: Array, velocity: Array, rate: float) -> None:
+        """A knot at the end of a step: where the joints are (nv,), with what velocities (nv,), at a path speed σ."""
         self._left = self.stride
-        if self._last_q is None:
-            return self.begin(clock, q)
-        if self._turns_on:  # over whole turns
-            x = self._knots[-1][1] + pin.difference(self._cell.model, self._last_q, q)
-            self._last_q = np.array(q)
-        else:
-            x = self._last_q = np.array(q)
-        slope = velocity / rate if rate >= _SLOWEST else None
+        if self._last is None:
+            return self.begin(clock, x)
+        x = self._gone_on(self._knots[-1][1], self._last, x)
         if clock - self._knots[-1][0] < _NEAREST:
             clock = self._knots.pop()[0]
-        self._knots.append((clock, x, slope))
+        self._knots.append((clock, x, velocity.copy(), rate))
         if len(self._knots) > MOST_KEPT:
             self._knots = [*self._knots[:-1:2], self._knots[-1]]
             self.stride *= 2
         return None
 
-    def cut(self, clock: float, q: Array) -> None:
-        """Forget what was travelled beyond a clock, where the arms are at ``q`` (nq,) now."""
+    def _gone_on(self, before: Array, last: Array, x: Array) -> Array:
+        """Positions x that were ``last``, over whole turns from those ``before``."""
+        self._last = x = x.copy()
+        if not self._turning.size:
+            return x
+        way, turns = x - last, self._turning
+        way[turns] -= 2.0 * np.pi * np.round(way[turns] / (2.0 * np.pi))
+        return before + way
+
+    def cut(self, clock: float, x: Array) -> None:
+        """Forget what was travelled beyond a clock, where the joints are at x (nv,) now."""
         before = [knot for knot in self._knots if knot[0] < clock - _NEAREST]
         if not before:
-            return self.begin(clock, q)
-        last = self._cell.configuration_of(before[-1][1])
-        x = before[-1][1] + pin.difference(self._cell.model, last, q)
-        self._knots, self._last_q, self._left = [*before, (clock, x, None)], np.array(q), self.stride
+            return self.begin(clock, x)
+        last = before[-1][1]
+        self._knots, self._left = [*before, (clock, self._gone_on(last, last, x), None, 0.0)], self.stride
         return None
 
     def back(self, begin: float) -> Elbows | None:
@@ -94,9 +96,9 @@ class Trail:
         clocks, x = begin - np.array([knot[0] for knot in knots]), np.array([knot[1] for knot in knots])
         elbows = Elbows.through(clocks, x)
         slopes = elbows.slopes.copy()
-        for i, (_, _, slope) in enumerate(knots):
-            if slope is not None:
-                slopes[i] = -slope
+        for i, (_, _, velocity, rate) in enumerate(knots):
+            if velocity is not None and rate >= _SLOWEST:
+                slopes[i] = -velocity / rate
         return Elbows(clocks, x, slopes)
 
     def copy(self) -> Trail:

@@ -227,6 +227,11 @@ class PlainLoop:
         return self.state.q
 
     @property
+    def positions(self) -> Array:
+        """Commanded joint positions (nv,)."""
+        return self.cell.positions(self.state.q)
+
+    @property
     def velocity(self) -> Array:
         """Commanded joint velocities of the last step (nv,)."""
         return self.state.v
