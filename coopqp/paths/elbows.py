@@ -81,6 +81,18 @@ class Elbows:
         bend, twist = 3.0 * way - h * (2.0 * v[i] + v[i + 1]), h * (v[i] + v[i + 1]) - 2.0 * way
         return x[i] + u * (h * v[i] + u * (bend + u * twist)), v[i] + u * (2.0 * bend + 3.0 * u * twist) / h
 
+    def turning_points(self) -> Array:
+        """Positions (4, nv) with the lowest and the highest that each joint has between grid points, and at them."""
+        h, a, b, way = np.diff(self.clocks)[:, None], self.slopes[:-1], self.slopes[1:], np.diff(self.x, axis=0)
+        bend, twist = 3.0 * way - h * (2.0 * a + b), h * (a + b) - 2.0 * way
+        half = bend + np.copysign(np.sqrt(np.maximum(bend**2 - 3.0 * twist * h * a, 0.0)), bend)
+        rows = [self.x.min(axis=0), self.x.max(axis=0)]
+        with np.errstate(divide="ignore", invalid="ignore"):  # a joint turns where h a + 2 bend u + 3 twist u² = 0
+            turns = [-h * a / half, -half / (3.0 * twist)]
+        u = np.array([np.where((turn > 0.0) & (turn < 1.0), turn, 0.0) for turn in turns])
+        x = self.x[:-1] + u * (h * a + u * (bend + u * twist))
+        return np.array([*rows, x.min(axis=(0, 1)), x.max(axis=(0, 1))])
+
     def packed(self) -> Array:
         """As numbers: the clocks, the positions and the slopes row by row."""
         return np.concatenate([self.clocks, self.x.ravel(), self.slopes.ravel()])

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import final
 
@@ -58,19 +58,27 @@ class JointPath:
         object.__setattr__(self, "durations", times)
 
     @staticmethod
-    def through(clocks: ArrayLike, positions: ArrayLike) -> JointPath:
+    def through(clocks: ArrayLike, positions: ArrayLike, speeds: ArrayLike | None = None) -> JointPath:
         """Cubics without overshoot through samples of a way, such as a planner gives; at rest at both ends.
 
         Args:
             clocks: rising from 0 (K,) [s].
             positions: there (K, n) [rad or m].
+            speeds: there (K, n) [rad/s or m/s]; by default the ones by which nothing overshoots.
 
         Raises:
-            InvalidInputError: clocks that do not rise from 0, or positions that are not one row a clock.
+            InvalidInputError: clocks that do not rise from 0, positions that are not one row a clock, or speeds of
+                another shape.
         """
+        where = "JointPath.through"
         found = Elbows.through(clocks, positions)
-        as_scalar(found.clocks[0], "JointPath.through: clocks[0]", low=-1e-12, high=1e-12)
+        as_scalar(found.clocks[0], f"{where}: clocks[0]", low=-1e-12, high=1e-12)
         slopes = found.slopes.copy()
+        if speeds is not None:
+            slopes = as_floats(speeds).copy()
+            if slopes.shape != found.x.shape or not np.isfinite(slopes).all():
+                remedy = f"Give finite ones of shape {found.x.shape}."
+                raise InvalidInputError(f"speeds of shape {slopes.shape}, or not finite", where, remedy)
         slopes[0] = slopes[-1] = 0.0
         return JointPath(found.x, np.diff(found.clocks), Elbows(found.clocks, found.x, slopes))
 
@@ -78,23 +86,38 @@ class JointPath:
         """The same way, begun exactly at positions (n,) near its first."""
         rows = self.rows.copy()
         rows[0] = x
-        if self._through is None:
-            return JointPath(rows, self.durations)
-        return JointPath.through(self._starts, rows)
+        through = self._through
+        return JointPath(rows, self.durations, None if through is None else replace(through, x=rows))
+
+    @property
+    def speeds(self) -> Array | None:
+        """Speeds at its rows (m, n); None where the joints rest at each row and go straight to the next."""
+        return None if self._through is None else self._through.slopes
+
+    @property
+    def rests(self) -> Array:
+        """Clocks at which the joints rest between parts that are straight, or that have one time law [s]."""
+        return self.clocks if self._through is None else self.clocks[[0, -1]]
 
     @property
     def rows(self) -> Array:
-        """The positions that were given (m, n) [rad or m]. All others lie between two of them in a row."""
+        """The positions that were given (m, n) [rad or m]."""
         return np.asarray(self.positions)
 
+    @property
+    def farthest(self) -> Array:
+        """Positions (m, n) between which all others lie [rad or m]: its rows, and where joints go beyond them."""
+        return self.rows if self._through is None else np.vstack([self.rows, self._through.turning_points()])
+
     @cached_property
-    def _starts(self) -> Array:
+    def clocks(self) -> Array:
+        """Clocks of its rows (m,), from 0 [s]."""
         return np.concatenate([[0.0], np.cumsum(self.durations)])
 
     @property
     def duration(self) -> float:
         """Its duration [s]."""
-        return float(self._starts[-1])
+        return float(self.clocks[-1])
 
     def at(self, clock: float) -> tuple[Array, Array]:
         """Positions and speeds (n,) at a clock [s]; those of an end beyond it."""
@@ -102,7 +125,7 @@ class JointPath:
             return self.rows[0 if clock < 0.0 else -1].copy(), np.zeros(self.rows.shape[1])
         if self._through is not None:
             return self._through.at(clock)
-        starts, x = self._starts, self.rows
+        starts, x = self.clocks, self.rows
         i = min(int(np.searchsorted(starts, clock, side="right")) - 1, len(x) - 2)
         span = float(starts[i + 1] - starts[i])
         share, way = (clock - float(starts[i])) / span, x[i + 1] - x[i]

@@ -20,19 +20,21 @@ from coopqp.model.cell import RobotCell
 from coopqp.model.grasp import Grasp
 from coopqp.native.constants import SEGMENT
 from coopqp.paths.geometry import PathGeometry, Straight
-from coopqp.paths.moving_grasps import refuse_ways
+from coopqp.paths.joint_path import FAR_FROM_WAY, JointPath, JointPiece
 from coopqp.paths.path import HoldPath, ObjectPath
 from coopqp.paths.timed import SpeedProfile, TimedPath
 from coopqp.planning.knots import Knots, arm_knots
 from coopqp.planning.parametrise import fastest, require_toppra
-from coopqp.planning.timing import SHARE, binding_limits, limits_along, use_between
+from coopqp.planning.timing import SHARE, binding_limits, limits_along, motion_over_clock, use_between
 from coopqp.planning.tools_on_object import ToolPiece, common_share
 from coopqp.programs.program import Phase, Program
-from coopqp.programs.roles import Follows, Holds, Role, Waits
+from coopqp.programs.roles import Follows, FollowsJoints, Holds, Role, Waits
 from coopqp.spatial import Array
 
 #: Knots of a phase, largest excess of limits between them, and rounds in which knots are added there.
 KNOTS, _EXCESS, _ROUNDS = 200, 2e-3, 6
+#: How far from a clock both of its sides are seen [s].
+_BESIDE = 1e-6
 #: Times that differ by less than this are the same [s].
 _SAME = 1e-9
 
@@ -43,11 +45,52 @@ class _Stretch:
 
     start: float
     end: float
-    pieces: tuple[ToolPiece, ...]
+    pieces: tuple[ToolPiece | _JointPart, ...]
 
     @property
     def moves(self) -> bool:
-        return any(np.abs(p.object[12:18]).max() + np.abs(p.tool[12:18]).max() > 0.0 for p in self.pieces)
+        return any(isinstance(p, _JointPart) or _object_moves(p) or _tool_moves(p) for p in self.pieces)
+
+    @property
+    def bends(self) -> list[float]:
+        """Shares at both sides of those where accelerations along a way of joints jump."""
+        clocks = [x for p in self.pieces if isinstance(p, _JointPart) and not p.straight for x in p.led.way.clocks]
+        shares = [(clock + side * _BESIDE) / (self.end - self.start) for clock in clocks for side in (-1.0, 1.0)]
+        return [share for share in shares if 0.0 < share < 1.0]
+
+
+@dataclass(frozen=True, eq=False)
+class _JointPart:
+    """A part of a way of an arm's joints over its share u: straight from row to row, or its own clock."""
+
+    led: JointPiece
+    start: float
+    end: float
+
+    @property
+    def straight(self) -> bool:
+        return self.led.way.speeds is None
+
+    def motion(self, s: Array) -> tuple[Array, Array, Array]:
+        """Positions (K, n) at shares (K,), and their first and second derivatives."""
+        first, last = self.led.at(self.start)[0], self.led.at(self.end - _SAME)[0]
+        if self.straight:
+            ways = np.broadcast_to(last - first, (len(s), len(first)))
+            return first + s[:, None] * ways, ways, np.zeros_like(ways)
+        span, h = self.end - self.start, 0.1 * _BESIDE
+        clocks = (self.start + span * s).tolist()
+        x = np.array([self.led.at(clock)[0] for clock in clocks])
+        speed = np.array([self.led.at(clock)[1] for clock in clocks])
+        sides = [np.array([self.led.at(clock + way)[1] for clock in clocks]) for way in (h, -h)]
+        return x, span * speed, span**2 * (sides[0] - sides[1]) / (2.0 * h)
+
+
+def _object_moves(piece: ToolPiece) -> bool:
+    return bool(np.abs(piece.object[12:18]).max() > 0.0)
+
+
+def _tool_moves(piece: ToolPiece) -> bool:
+    return bool(np.abs(piece.tool[12:18]).max() > 0.0)
 
 
 @dataclass(frozen=True, eq=False)
@@ -78,7 +121,8 @@ def time_program(
     Args:
         cell, grasp: the arms, and how they hold the object when the program begins.
         program: the program. Its phases need one time law for all that moves in them at a time, as roles have by
-            default; a phase with corners comes back as one phase for each part between them, numbered.
+            default; a phase with corners comes back as one phase for each part between them, numbered. Arms
+            that follow ways of their joints go on with the others, from row to row.
         q_start: configuration (nq,) near its start; it decides the branches.
         share: share of the limits that is used, in (0, 1].
         knots: number of knots of each part.
@@ -94,7 +138,6 @@ def time_program(
     require_toppra()
     require(program, Program, f"{where}: program", "Give a Program.")
     grasp.check_arms(cell)
-    refuse_ways(program, f"{where}: program", "Time the phases before and after it.")
     share, count = as_scalar(share, f"{where}: share", high=1.0), as_count(knots, f"{where}: knots")
     if not np.isfinite(cell.limits.acceleration).all():
         name = cell.joint_names[int(np.flatnonzero(~np.isfinite(cell.limits.acceleration))[0])]
@@ -125,14 +168,19 @@ def _stretches(grasp: Grasp, program: Program, start: float, end: float, name: s
         )
     rows = np.asarray(numbers[3 + int(numbers[1]) :])[: SEGMENT * int(numbers[2])].reshape(-1, SEGMENT)
     marks = {start, end, *rows[:, 18].tolist()}
-    marks |= {clock for pieces in motion.arms for piece in pieces for clock in (piece.start, piece.end)}
+    moving = [p for pieces in motion.arms for p in pieces if np.abs(p.segment[12:18]).max() > 0.0]
+    marks |= {clock for piece in moving for clock in (piece.start, piece.end)}
+    marks |= {led.start + rest for ways in motion.led for led in ways for rest in led.way.rests.tolist()}
     clocks = sorted(clock for clock in marks if start - _SAME <= clock <= end + _SAME)
     clocks = [a for a, b in itertools.pairwise(clocks) if b - a > _SAME] + [end]
     found = []
     for a, b in itertools.pairwise(clocks):
         row = rows[max(int(np.searchsorted(rows[:, 18], a + _SAME, side="right")) - 1, 0)]
-        pieces = []
+        pieces = list[ToolPiece | _JointPart]()
         for k, X in enumerate(grasp.T_object_tool):
+            if (led := motion.leading(k, a + _SAME)) is not None:
+                pieces.append(_JointPart(led, a, b))
+                continue
             piece = motion.piece(k, a + _SAME)
             common = common_share(row, piece, a, b)
             A, B = (piece.A, piece.B) if piece is not None else (pin.SE3.Identity(), pin.SE3.Identity())
@@ -151,7 +199,7 @@ def _timed(
     cell: RobotCell, part: _Stretch, x: Array, share: float, count: int, name: str
 ) -> tuple[SpeedProfile, Array]:
     """The fastest profile over u, and where the joints are at its end (nv,)."""
-    s = np.linspace(0.0, 1.0, count)
+    s = np.union1d(np.linspace(0.0, 1.0, count), part.bends)
     for _ in range(_ROUNDS):
         knots = _knots(cell, part, s, x, name)
         limited = limits_along(cell, _NO_GRASP, knots, share=share)
@@ -174,6 +222,14 @@ def _knots(cell: RobotCell, part: _Stretch, s: Array, x: Array, name: str) -> Kn
     for arm, own, piece in zip(cell.arms, cell.v_slices, part.pieces, strict=True):
         kinematics = ArmKinematics(arm)
         columns = own.start + kinematics.columns
+        if isinstance(piece, _JointPart):
+            q[:, columns], slope[:, columns], curvature[:, columns] = piece.motion(s)
+            if np.abs(q[0, columns] - x[columns]).max() > FAR_FROM_WAY:
+                raise UnreachableError(
+                    f"arm '{arm.name}' does not come to the way of its joints in phase '{name}', but to another "
+                    "branch. Begin the way where the arm is then, or start from another branch."
+                )
+            continue
         found = arm_knots(kinematics, piece.X, _ToolMotion(s, piece), x[columns])  # type: ignore[arg-type]
         if found.reached < len(s) - 1:
             raise UnreachableError(
@@ -208,16 +264,27 @@ def _phase(
     for arm, piece in zip(cell.arm_names, part.pieces, strict=True):
         role = phase.arms.get(arm, Holds())
         after = role.holds_after if last else None
-        if profile is not None and np.abs(piece.tool[12:18]).max() > 0.0:
+        if isinstance(piece, _JointPart):
+            assert profile is not None
+            arms[arm] = FollowsJoints(_joint_path(piece, profile))
+            continue
+        if profile is not None and _tool_moves(piece):
             arms[arm] = Follows(_along(piece.tool, profile, share), piece.A, holds=role.holds, holds_after=after)
         elif not role.holds:
             still = pin.SE3.Identity()
             arms[arm] = Waits() if after is None else Follows(_resting(part, profile), still, False, after)
-        if profile is not None and np.abs(piece.object[12:18]).max() > 0.0:
+        if profile is not None and _object_moves(piece):
             path = _along(piece.object, profile, share)
     seconds = part.end - part.start if profile is None else profile.duration
     until = phase.until if last else None
     return Phase(name, path=path, duration=None if path is not None else seconds, arms=arms, until=until)
+
+
+def _joint_path(part: _JointPart, profile: SpeedProfile) -> JointPath:
+    """A part of a way by a profile over its share."""
+    x, slopes, _ = part.motion(profile.s)
+    made = motion_over_clock(profile, x, slopes)
+    return JointPath.through(made.clocks, made.x, made.slopes)
 
 
 def _resting(part: _Stretch, profile: SpeedProfile | None) -> ObjectPath:

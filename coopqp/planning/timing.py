@@ -178,11 +178,11 @@ def timed_motion(
     profile = SpeedProfile(np.concatenate(s), np.concatenate(squares), tuple(binding), np.concatenate(use))
     q, q_slopes, elbows = np.vstack(rows), np.vstack(slopes), None
     if any(len(columns) > 6 for columns in moving_columns(cell)):
-        elbows = _elbows(profile, q, q_slopes)
+        elbows = motion_over_clock(profile, q, q_slopes)
     return TimedMotion(TimedPath(geometry, profile, planned_share=share, elbows=elbows), q, q_slopes)
 
 
-def _elbows(profile: SpeedProfile, x: Array, slopes: Array) -> Elbows:
+def motion_over_clock(profile: SpeedProfile, x: Array, slopes: Array) -> Elbows:
     """The motion of the joints over the path's clock, with no more knots than it takes."""
     from scipy.interpolate import CubicHermiteSpline  # takes long to import
 

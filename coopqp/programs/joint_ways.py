@@ -43,12 +43,13 @@ def joint_piece(
         raise InvalidInputError(
             f"a way of {path.rows.shape[1]} joints, and the arm has {kinematics.n}", where, "Give one position a joint."
         )
-    margins = kinematics.margins(path.rows)
+    margins = kinematics.margins(path.farthest)
     row, j = np.unravel_index(int(margins.argmin()), margins.shape)
     if margins[row, j] < -_AT_LIMIT:
+        place = f"(row {row})" if row < len(path.rows) else "between its rows"
         outside = amount(-margins[row, j], slides=bool(kinematics.slides[j]))
         raise InvalidInputError(
-            f"its way leads {kinematics.joints[j]} out of its limits by {outside} (row {row})",
+            f"its way leads {kinematics.joints[j]} out of its limits by {outside} {place}",
             where,
             "Give positions inside the joint's limits.",
         )

@@ -11,6 +11,8 @@ import pytest
 from coopqp import load_cell_file
 from coopqp.cli.main import main
 from coopqp.files import CellFileError
+from coopqp.files.cellfile.write import planned_program_text
+from coopqp.planning import time_program
 from coopqp.programs import Program
 from coopqp.simulation import evaluate, read_run
 
@@ -215,6 +217,18 @@ duration_s = 1.0
     assert recording.finished
     asked = recording.q_command[50][first.cell.columns[2]]
     assert np.abs(asked - np.deg2rad(there)).max() < 2e-2
+    pytest.importorskip("toppra")
+    cell, grasp, q_start = task.scenario.cell, task.scenario.grasp, task.scenario.q_start
+    planned = time_program(cell, grasp, program, q_start=q_start, knots=60)
+    text = planned_program_text(task, planned, folder=tmp_path, into=tmp_path)
+    again = load_cell_file(written(tmp_path, text)).scenario.path
+    assert isinstance(again, Program)
+    assert [span.name for span in again.spans] == [span.name for span in planned.spans]
+    assert [span.name for span in again.spans][:2] == ["aside 1", "aside 2"]
+    assert again.duration == pytest.approx(planned.duration, abs=1e-9)
+    for clock in np.linspace(0.0, planned.spans[1].end, 20)[:-1].tolist():
+        ways = [path.grasps.leading(2, clock) for path in (planned, again) if path.grasps is not None]
+        assert np.allclose(*(way.at(clock) for way in ways if way is not None), atol=1e-9)
     bad = phases.replace(f"[{here}, {there}, {here}]", f"[{here[:5]}, {there[:5]}]").replace("[0.5, 0.5]", "[0.5]")
     with pytest.raises(CellFileError, match=r"arms\.slave_2\.positions_deg has 5 numbers for 6 joints"):
         load_cell_file(written(tmp_path, arms + bad))

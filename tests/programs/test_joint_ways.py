@@ -20,6 +20,7 @@ from coopqp import (
     find_start,
     inverse_kinematics,
 )
+from coopqp.errors import UnreachableError
 from coopqp.model.batch import ArmKinematics
 from coopqp.model.branches import find_branches
 from coopqp.paths import JointPath
@@ -274,6 +275,84 @@ def test_what_cannot_know_it_says_so() -> None:
     ):
         with pytest.raises(InvalidInputError, match="follows a way of its joints"):
             ask()
+
+
+def test_speeds_of_a_way_are_kept_and_what_lies_beyond_its_rows_is_known() -> None:
+    clocks, rows = [0.0, 0.5, 2.0], np.array([[0.0, 1.0], [1.0, -1.0], [2.0, -1.5]])
+    speeds = np.array([[0.0, 0.0], [1.0, -0.4], [0.0, 0.0]])
+    way = JointPath.through(clocks, rows, speeds)
+    assert np.array_equal(way.at(0.5)[1], speeds[1])
+    moved = way.begun(rows[0] + 1e-4)
+    assert np.array_equal(moved.at(0.5)[1], speeds[1])
+    assert np.allclose(moved.at(0.0)[0], rows[0] + 1e-4)
+    fast = JointPath.through(clocks, rows, 20.0 * speeds)
+    seen = np.array([fast.at(clock)[0] for clock in np.linspace(0.0, 2.0, 20_001).tolist()])
+    assert np.allclose(fast.farthest.min(axis=0), seen.min(axis=0), atol=1e-6)
+    assert np.allclose(fast.farthest.max(axis=0), seen.max(axis=0), atol=1e-6)
+    assert seen[:, 0].max() > 2.1
+    for wrong, why in ((speeds[:2], "shape"), (np.nan * speeds, "not finite")):
+        with pytest.raises(InvalidInputError, match=why):
+            JointPath.through(clocks, rows, wrong)
+
+
+@pytest.mark.parametrize("samples", [False, True])
+@pytest.mark.parametrize("rests", [False, True])
+def test_a_plan_times_it_with_all_others(rests: bool, samples: bool) -> None:
+    """Slow ways become as fast as the limits allow, rest at the same rows, and are proved and followed."""
     pytest.importorskip("toppra")
-    with pytest.raises(InvalidInputError, match="follows a way of its joints"):
-        time_program(task.cell, task.grasp, program, q_start=task.q_start)
+    task = lift()
+    x = own(task, task.q_start)
+    if samples:
+        at = np.linspace(0.0, 1.0, 9)
+        rows = x + np.sin(np.pi * at)[:, None] * ELSEWHERE
+        way = JointPath.through(6.0 * at, rows)
+    else:
+        way = JointPath([x, x + ELSEWHERE, x], 3.0)
+    start, goal = task.path.start, task.path.goal
+    back = {"slave_2": Travels(to=task.grasp.T_object_tool[2], retreat_m=0.0)}
+    phases = [
+        Phase("go", arms={"slave_2": FollowsJoints(way)}),
+        Phase("back", arms=back, duration=0.5),
+        Phase("lift", path=LinePath(start, goal, duration=9.0)),
+    ]
+    if not rests:  # it goes on while the object moves: over one time law, or refused
+        over = LinePath.displaced(start, translation=(0.0, 0.0, 0.05), duration=way.duration)
+        phases[0] = Phase("go", arms={"slave_2": FollowsJoints(way)}, path=over)
+        phases[2] = Phase("lift", path=LinePath(over.goal, goal, duration=9.0))
+    program = Program(task.cell, task.grasp, phases)
+    if not rests and not samples:
+        with pytest.raises(InvalidInputError, match=r"phase 'go'.*Cut it in phases"):
+            time_program(task.cell, task.grasp, program, q_start=task.q_start, knots=60)
+        return
+    planned = time_program(task.cell, task.grasp, program, q_start=task.q_start, knots=60)
+    assert planned.duration < 0.5 * program.duration
+    ways = [phase.arms["slave_2"].path for phase in planned.phases if "go" in phase.name]
+    assert np.allclose(ways[0].rows[0], x, atol=1e-6)
+    assert np.allclose(ways[-1].rows[-1], x, atol=1e-6)
+    if not samples:
+        assert np.allclose(ways[0].rows[-1], x + ELSEWHERE, atol=1e-9)
+    check = check_path(task.cell, task.grasp, planned, q_start=task.q_start)
+    assert check.verdict.value == "CERTIFIED", check.explain()
+    steps = run(started(task, planned))
+    assert steps[-1].finished
+    assert len(steps) * DT < 1.1 * planned.duration + 0.1
+    limit = task.cell.limits
+    bend = np.diff([step.velocity for step in steps], axis=0) / DT
+    assert (np.abs(bend) <= limit.acceleration + 1e-6).all()
+    led = np.array([own(task, step.q_next) for step in steps if step.clock_next < planned.spans[-2].start])
+    assert np.abs(led - x).max() > 0.9 * np.abs(ELSEWHERE).max()
+
+
+def test_a_plan_names_a_way_that_begins_in_another_branch() -> None:
+    pytest.importorskip("toppra")
+    task = lift()
+    x = own(task, task.q_start)
+    kinematics = ArmKinematics(task.cell.arms[2])
+    branches = find_branches(kinematics, pin.SE3(kinematics.tool_poses(x[None])[0]), near=x[None])
+    other = max(branches.q[branches.inside], key=lambda q: float(np.abs(q - x).max()))
+    go = {"slave_2": FollowsJoints(JointPath([other, other + 0.03], 1.0))}
+    program = Program(
+        task.cell, task.grasp, [Phase("go", arms=go), Phase("up", path=task.path, arms={"slave_2": Waits()})]
+    )
+    with pytest.raises(UnreachableError, match="'slave_2' does not come to the way of its joints in phase 'go'"):
+        time_program(task.cell, task.grasp, program, q_start=task.q_start, knots=60)

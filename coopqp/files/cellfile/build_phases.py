@@ -119,7 +119,11 @@ def _way(table: FollowsJointsTable, cell: RobotCell, name: str) -> JointPath:
     rows = table.positions_deg or table.positions_rad or []
     kinematics = ArmKinematics(cell.arms[cell.index(name)])
     slides = kinematics.slides.tolist()
-    return JointPath([in_radians(row, slides, where, degrees=degrees) for row in rows], table.durations_s)
+    positions = [in_radians(row, slides, where, degrees=degrees) for row in rows]
+    if table.speeds_rad_per_s is None:
+        return JointPath(positions, table.durations_s)
+    clocks = np.concatenate([[0.0], np.cumsum(table.durations_s)])
+    return JointPath.through(clocks, positions, table.speeds_rad_per_s)
 
 
 def _role(table: Any, cell: RobotCell, name: str, build_path: Callable[[Any], ObjectPath]) -> Role:

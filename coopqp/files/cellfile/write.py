@@ -11,6 +11,7 @@ from typing import Any
 import pinocchio as pin
 from pydantic import ValidationError
 
+from coopqp.checks import as_floats
 from coopqp.files.cellfile.build import DEFAULT_DT, ELBOWS, CellRun, read
 from coopqp.files.cellfile.error import CellFileError
 from coopqp.files.cellfile.explain import explain
@@ -22,7 +23,7 @@ from coopqp.model.cell import RobotCell
 from coopqp.paths.timed import TimedPath
 from coopqp.planning.planner import Plan
 from coopqp.programs.program import Phase, Program
-from coopqp.programs.roles import Follows, Role
+from coopqp.programs.roles import Follows, FollowsJoints, Role
 from coopqp.spatial import Array, as_placement
 
 
@@ -208,6 +209,14 @@ def _phase_table(phase: Phase) -> dict[str, Any]:
 
 
 def _role_table(role: Role) -> dict[str, Any]:
+    if isinstance(role, FollowsJoints):
+        way, speeds = role.path, role.path.speeds
+        return {
+            "kind": "follows_joints",
+            "positions_rad": way.rows.tolist(),
+            **({} if speeds is None else {"speeds_rad_per_s": speeds.tolist()}),
+            "durations_s": as_floats(way.durations).tolist(),
+        }
     if not isinstance(role, Follows):
         return {"kind": "holds" if role.holds else "waits"}
     frame, rests = as_placement(role.frame, "Follows: frame"), not isinstance(role.on, TimedPath)
