@@ -13,7 +13,6 @@ import time
 import warnings
 from collections import deque
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import replace
 from typing import Any, final
 
 import numpy as np
@@ -94,9 +93,7 @@ class QPController(OperatorCalls):
         self.options = as_options(QPOptions, options, "QPController: options")
         self._checked = Constraints(cell, constraints)
         self.constraints = self._checked.given
-        leads = isinstance(motion := getattr(path, "grasps", None), GraspMotion) and motion.leads
-        run_by = replace(self.options, kernel="plain") if leads and self.options.kernel == "auto" else self.options
-        self._loop = make_loop(cell, grasp, dt=self.dt, options=run_by, constraints=self._checked)
+        self._loop = make_loop(cell, grasp, dt=self.dt, options=self.options, constraints=self._checked)
         self.kernel, self.solver = self._loop.kernel, self._loop.solver.name
         self._operator = Operator(cell, grasp, self._loop, path, dt=self.dt, options=self.options)
         if not isinstance(self._loop, PlainLoop):
@@ -140,12 +137,6 @@ class QPController(OperatorCalls):
                 f"the tool of arm '{self.cell.arm_names[0]}' moves on the object, and a scene places the object by it",
                 "QPController: constraints",
                 "Let the first arm of the cell hold the object at rest on it, or give no Clearance.",
-            )
-        if grasps.leads and not isinstance(self._loop, PlainLoop):
-            raise InvalidInputError(
-                "an arm follows its joints' own way, which the compiled kernel does not know",
-                "QPController: path",
-                'Build the controller with this path, or with QPOptions(kernel="plain").',
             )
         if self._shift is not None and np.any(self._shift) and not (self._minded and grasps.holding_fixed):
             raise InvalidInputError(

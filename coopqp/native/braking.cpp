@@ -172,7 +172,7 @@ static void brake_together(Core *c) {
     carry_and_linearise(c, c->positions, c->carried[0].p, nullptr, c->jacobian);
     needed.setZero();
     for (int k = 0; k < c->arms; k++) {
-        if (!leads_group(c, k)) continue;
+        if (!leads_group(c, k) || follows_way(c, k)) continue;
         const Group *g = group_of(c, k);
         double s = 0.0, most = 0.0, reach = 0.0, *G = next_row(c);
         const double sigma = g ? group_edge(c, *g, G) : singular_edge(c, k, way_to_tool(c, k), G);

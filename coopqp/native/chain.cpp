@@ -234,6 +234,11 @@ static int two_velocities(Core *c, const double *jacobian, const Twists &w0, con
     for (int k = 0; k < c->arms; k++) {
         if (group_of(c, k)) continue;
         const auto [j, n] = joints_of(c, k);
+        if (follows_way(c, k)) { /* it moves no object: its wishes are its motion */
+            for (int i = j; i < j + n; i++) v0[i] = u0 ? u0[i] : 0.0, v1[i] = u1 ? u1[i] : 0.0;
+            c->least_pivot[k] = INFINITY;
+            continue;
+        }
         const double *J = jacobian + 6 * j, *scale = c->scale + j;
         const double *wish0 = u0 ? u0 + j : still, *wish1 = u1 ? u1 + j : still;
         const Vector6 own = w0.col(k), second = own1 ? Vector6(Eigen::Map<const Vector6>(own1 + 6 * k)) : w1;
@@ -259,7 +264,7 @@ static int nominal_command(Core *c, double cap) {
         w.col(k) = turned(R, own + c->grasp.col(k) + c->offsets.col(k));
         if (moving) c->own_world.col(k) = turned(R, c->own_along.col(k));
     }
-    if (c->redundant) {
+    if (c->redundant || any_follows_way(c)) {
         Vector wish(c->scratch + 6 * c->arms, c->joints, 1);
         wish = cap * c->null_along + c->null_offset;
         u0 = wish, u1 = c->null_along;

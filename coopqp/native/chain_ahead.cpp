@@ -93,17 +93,14 @@ static Trial newton_step(Core *c, double clock, double before, const double *pos
     Pose T;
     Vector6 twist;
     double size = 0.0;
-    if (!path_pose(c, clock, T) || !path_twist(c, maximum(minimum(clock, c->duration) - before, 0.0), twist))
-        return CANNOT_SAY;
     const bool moving = grasps_move(c);
-    if (moving) place_grasps(c, minimum(clock, c->duration), c->ahead_shift);
+    const double then = maximum(minimum(clock, c->duration) - before, 0.0);
+    if (!path_pose(c, clock, T) || !path_twist(c, then, twist)) return CANNOT_SAY;
+    if (moving) place_grasps(c, minimum(clock, c->duration), c->ahead_shift), take_ways(c, then);
     carry_and_linearise(c, positions, T.p, s.carried, s.jacobian);
     if (!errors_at(c, s.carried, T, s.errors)) return REJECTED;
     for (int k = 0; k < c->arms; k++) s.w.col(k) = turned(T.R, -s.errors.col(k)); /* w_k = −R e_k */
-    for (int k = 0; moving && k < c->arms; k++) {
-        const double then = maximum(minimum(clock, c->duration) - before, 0.0);
-        c->own_world.col(k) = turned(T.R, twist + twist_on_object(c, k, then));
-    }
+    for (int k = 0; moving && k < c->arms; k++) c->own_world.col(k) = turned(T.R, twist + twist_on_object(c, k, then));
     if (c->redundant && c->options->elbows > 0.0) elbow_velocity(c, clock, 0.0, positions, s.wish);
     else if (c->redundant) posture_velocity(c, positions, s.wish);
     if (!two_velocities(c, s.jacobian, s.w, turned(T.R, twist), nullptr, c->redundant ? (double *)s.wish : nullptr, step,
@@ -112,6 +109,7 @@ static Trial newton_step(Core *c, double clock, double before, const double *pos
     if (c->redundant && !evade(c, positions, slope)) return CANNOT_SAY;
     for (int k = 0; c->redundant && !(c->options->elbows > 0.0) && k < c->arms; k++)
         if (leads_group(c, k) && (c->arm_size[k] > 6.0 || group_of(c, k))) lead_away(c, k, s.jacobian, positions, slope);
+    if (moving) along_ways(c, clock, before, positions, step, slope);
     for (int j = 0; j < c->joints; j++) size += step[j] * step[j] + slope[j] * slope[j];
     return size < INFINITY ? FOUND : REJECTED;
 }
@@ -203,6 +201,10 @@ static void find_edges(const Core *c, int i) {
     for (int k = 0; k < c->arms; k++) {
         const auto [start, n] = joints_of(c, k);
         const Group *g = group_of(c, k);
+        if (follows_way(c, k)) {
+            Vector(edges + start, n, 1).setConstant(FAR_EDGE);
+            continue;
+        }
         bool far = c->least_pivot[k] > FAR_PIVOT && c->options->room <= FAR_ROOM;
         if (g) { /* its least eigenvalue is not less than any of its arms' */
             if (!leads_group(c, k)) continue;

@@ -21,6 +21,10 @@ WELL_INVERTED = 1e-3  # smallest pivot of an arm that shares joints, whose own i
 LONG_LEVER = 3.0  # an arm further from the object's origin is inverted about a point of its own [m]
 LONGEST_STEP = 0.5  # Newton's step is shortened to this [rad or m]
 
+# -- ways of joints ----------------------------------------------------------------------------------------------------
+WAY_HEAD = 8  # numbers of a way before its rows
+FAR_FROM_WAY = 0.02  # an arm this far from the way of its joints does not follow it [rad or m]
+
 # -- rate --------------------------------------------------------------------------------------------------------------
 BRAKING_SHARE = 0.8  # share of the accelerations that braking together is planned with
 FASTEST_PATH = 20.0  # a path that moves faster jumps [m/s]; 1 rad counts as TURN_LENGTH

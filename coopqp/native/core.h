@@ -6,7 +6,7 @@
  *
  *   spatial.h        poses, logarithm, exponential           frames.h         joint frames of an arm, with
  *                                                            kinematics.cpp where the arms carry the object, Jacobians
- *   grasps.cpp       tools that move on the object
+ *   grasps.cpp       tools that move on the object          ways.cpp         arms that follow ways of their joints
  *   paths.cpp        pose and twist of the object's path     chain.cpp        errors, corrections, joint velocities
  *   limits.cpp       admissible velocities, rates            program.cpp      the condensed QP and its answer
  *   ldp.cpp          least-distance programs                 watch.cpp        supervision, drift, forces

@@ -75,6 +75,15 @@ static Vector6 twist_on_object(const Core *c, int k, double clock);
 /* The mean twist of each arm's view of the object over a span, as path_increment: into `own_along`. After that. */
 static int grasp_increments(Core *c, double clock, double span);
 
+/* -- ways.cpp ------------------------------------------------------------------------------------------- */
+
+/* From now on arms follow a way of their joints, and not the object, if they do at a clock. */
+static void take_ways(Core *c, double clock);
+static bool follows_way(const Core *c, int k);
+static bool any_follows_way(const Core *c);
+/* They carry the object where the first of the others does. */
+static void carry_with_others(const Core *c, Pose *carried);
+
 /* -- chain.cpp ----------------------------------------------------------------------------------------- */
 
 /* e_k = log(T⁻¹ O_k); 0 near half a turn or for numbers that are not finite. */

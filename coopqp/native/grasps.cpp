@@ -56,6 +56,7 @@ static void place_grasps(Core *c, double clock, const Twists &shift) {
         c->object[k] = piece ? compose(c->places[k], inverse_of(moved_by(piece, clock))) : c->places[k];
         if (shifted) c->object[k] = compose(c->object[k], exp6(-shift.col(k)));
     }
+    take_ways(c, clock);
 }
 
 static void take_contact(Core *c, double clock) {

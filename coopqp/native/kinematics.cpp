@@ -63,6 +63,7 @@ static void carry(const Core *c, const double *positions, Pose *carried) {
     for (int k = 0; k < c->arms; k++)
         if (!group_of(c, k)) follow_arm(c, k, positions, nullptr, carried + k, nullptr);
     follow_groups(c, positions, nullptr, carried, nullptr);
+    carry_with_others(c, carried);
 }
 
 static void carry_and_linearise(const Core *c, const double *positions, const Vector3 &about, Pose *carried,
@@ -70,4 +71,5 @@ static void carry_and_linearise(const Core *c, const double *positions, const Ve
     for (int k = 0; k < c->arms; k++)
         if (!group_of(c, k)) follow_arm(c, k, positions, &about, carried ? carried + k : nullptr, jacobian);
     follow_groups(c, positions, &about, carried, jacobian);
+    if (carried) carry_with_others(c, carried);
 }

@@ -106,7 +106,7 @@ KINDS = (
 REASONS = (
     "NO_REASON", "BAD_DT", "NOT_FINITE", "OFF_CIRCLE", "JUMPED", "CHAIN_APART", "CHAIN_PARTED", "OUT_OF_STEP_BY",
     "WAS_OUT_OF_STEP", "STALLED", "ALL_STALLED", "FORCE", "HANGS_BEHIND", "PATH_FAILED", "PATH_JUMPS",
-    "LOOK_AHEAD_FAILED", "CONSTRAINT_FAILED", "OFF_SERVOS", "TOUCHING", "OFF_LAG", "FORCE_GROWS",
+    "LOOK_AHEAD_FAILED", "CONSTRAINT_FAILED", "OFF_SERVOS", "TOUCHING", "OFF_LAG", "FORCE_GROWS", "OFF_WAY",
 )  # fmt: skip
 
 
@@ -139,7 +139,7 @@ WORK = _fields(
     "proposal Proposal; own_pose 12; near_x nv; near_sin nv; near_cos nv; carried 12 * n; jacobian 6 * nv; pose 12; "
     "along 6; path 6; measured 6; measured_positions nv; measured_carried 12 * n; measured_away 6 * n; "
     "measured_moved 6 * n; posture_work 7 * nv; common 6; errors 6 * n; grasp 6 * n; offsets 6 * n; left_over 6 * n; "
-    "own_along 6 * n; own_world 6 * n; "
+    "own_along 6 * n; own_world 6 * n; own_way n; ahead_own_way n; "
     "foresees 6 * n; made 6 * n; best_offsets 6 * n; best_foresees 6 * n; best_guess nv; null_along nv; "
     "null_offset nv; command nv; stand_in nv; guess nv; first_guess nv; along_velocity nv; off_path 6; lower nv; "
     "upper nv; recovery nv; outside nv; further nv * rows; further_lower rows; further_upper rows; further_soft rows; "

@@ -11,7 +11,10 @@ static void take_grasps(Core *c) {
 }
 
 /* Swaps these grasps with the present ones; a second call swaps them back. */
-static void swap_grasps(Core *c) { std::swap(c->object, c->ahead_object); }
+static void swap_grasps(Core *c) {
+    std::swap(c->object, c->ahead_object);
+    if (grasps_move(c)) c->own_way.swap(c->ahead_own_way);
+}
 
 /* While the look-ahead fails the arms hold. */
 static void hold_blind(Core *c) {

@@ -96,6 +96,12 @@ static bool condense(Core *c, double cap) {
             continue;
         }
         const auto [start, n] = joints_of(c, k);
+        if (follows_way(c, k)) {
+            base.segment(start, n) = cap * c->null_along.segment(start, n) + c->null_offset.segment(start, n);
+            columns.middleRows(start, n).col(6) = -c->unit[6] * c->null_along.segment(start, n);
+            z += n - 6;
+            continue;
+        }
         if (grasps_move(c)) T.col(6) = turned(R, c->own_along.col(k));
         T.col(7) = turned(R, c->grasp.col(k));
         T.col(9) = turned(R, c->offsets.col(k));

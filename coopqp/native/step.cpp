@@ -150,6 +150,7 @@ static void observe(Core *c, const double *q, const double *dt) {
     }
     p->has_errors = errors_at(c, c->carried, *c->pose, c->errors);
     if (p->has_errors != 0.0) watch_chain(c);
+    if (grasps_move(c)) watch_ways(c, c->loop->clock);
     p->has_measured = let_in(c, q ? positions : nullptr, q);
     if (goes_back(c)) p->has_measured = 1.0;
 }
@@ -276,6 +277,7 @@ static int twists_made(Core *c, const Vector &v, double h) {
 
 /* b_k = A_k v less the twists made, of arm k, in the reference object frame. */
 static Vector6 defect(const Core *c, int k, const Vector &v) {
+    if (follows_way(c, k)) return Vector6::Zero();
     const auto [start, n] = joints_of(c, k);
     Vector6 missed = c->jacobian.middleCols(start, n).lazyProduct(v.segment(start, n)) - c->made.col(k);
     for (int i = 0; i < shared_before(c, k); i++) missed += v[joint_behind(c, k, i)] * c->jacobian.col(joint_behind(c, k, i));
@@ -417,6 +419,8 @@ static Outcome propose(Core *c) {
         p->cap = 0.0;
     }
     if (c->redundant) wish(c);
+    else if (any_follows_way(c)) c->null_along.setZero(), c->null_offset.setZero();
+    if (grasps_move(c)) wish_along_ways(c, clock, p->span, h);
     p->rows = c->given_rows;
     if (p->has_errors == 0.0) {
         p->outcome = OPEN;

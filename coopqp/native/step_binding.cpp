@@ -273,6 +273,19 @@ static void set_path(BoundCore &self, In &numbers, double duration, bool looks_a
     self.duration = duration, self.looks_ahead = looks_ahead, self.users_path = users;
 }
 
+/* Whether ways of joints, see ways.cpp, fill the numbers from a place to their end. */
+static bool ends_after_ways(const Core &core, const double *numbers, Py_ssize_t at, Py_ssize_t end) {
+    const double ways = numbers[at++];
+    if (!(ways >= 0.0 && ways < 1e6)) return false;
+    for (int left = (int)ways; left > 0; left--) {
+        if (end - at < WAY_HEAD) return false;
+        const double *way = numbers + at;
+        if (!(way[0] >= 0.0 && way[0] < core.arms && way[6] >= 2.0 && way[6] < 1e6)) return false;
+        at += WAY_HEAD + (1 + 2 * (Py_ssize_t)core.arm_size[(int)way[0]]) * (Py_ssize_t)way[6];
+    }
+    return at == end;
+}
+
 /* set_grasps(numbers or None): how the tools move on the object along the path, see grasps.cpp. */
 static void set_grasps(BoundCore &self, InOrNone &numbers) {
     const double *found = numbers.data;
@@ -285,8 +298,9 @@ static void set_grasps(BoundCore &self, InOrNone &numbers) {
     if (good && found) {
         const double contacts = found[self.arms];
         good = contacts >= 1 && contacts < 1e6;
-        if (good) good = numbers.size == size + (1 + 7 * self.arms) * (Py_ssize_t)contacts;
+        if (good) size += (1 + 7 * self.arms) * (Py_ssize_t)contacts;
     }
+    if (good && found) good = numbers.size > size && ends_after_ways(self, found, size, numbers.size);
     check_fit(good, "the numbers are no motion of tools");
     self.grasp_array = std::move(numbers);
     self.grasp_numbers = found;

@@ -15,6 +15,7 @@ namespace BUILD {
 #include "kinematics.cpp"
 #include "paths.cpp"
 #include "grasps.cpp"
+#include "ways.cpp"
 #include "chain.cpp"
 #include "limits.cpp"
 #include "ldp.cpp"

@@ -227,13 +227,16 @@ class GraspMotion:
         return replace(self, arms=arms, contact=((0.0, self.holds(clock)),), led=())
 
     def packed(self) -> Array:
-        """As numbers for the compiled core: how many pieces each arm has (N), then 53 a piece: A, B, the segment."""
+        """As numbers for the compiled core: how many pieces each arm has (N), then 53 a piece: A, B, the segment; the
+        number of ways of joints, and these.
+        """
         every = [piece for pieces in self.arms for piece in pieces]
         rows = np.empty((len(every), GRASP_PIECE))
         for row, p in zip(rows, every, strict=True):
             placed = [x for T in (p.A, p.B) for x in (T.rotation.ravel(), T.translation)]
             row[:] = np.concatenate([*placed, p.segment])
-        return np.concatenate([[float(len(pieces)) for pieces in self.arms], rows.ravel()])
+        ways = [way.packed(k) for k, own in enumerate(self.led) for way in own]
+        return np.concatenate([[float(len(pieces)) for pieces in self.arms], rows.ravel(), [len(ways)], *ways])
 
 
 def _still(M: pin.SE3) -> GraspPiece:

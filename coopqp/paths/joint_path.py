@@ -16,8 +16,6 @@ from coopqp.paths.elbows import Elbows
 from coopqp.paths.time_law import TimeLaw
 from coopqp.spatial import Array
 
-#: An arm this far from the way of its joints does not follow it [rad or m].
-FAR_FROM_WAY = 0.02
 #: Over this time twists of a tool are taken from its poses [s].
 _TICK = 1e-6
 
@@ -169,6 +167,13 @@ class JointPiece:
             return np.zeros(6)
         change: Array = np.asarray(pin.log6(self.pose(b) * self.pose(a).inverse()).vector) / (b - a)
         return change
+
+    def packed(self, arm: int) -> Array:
+        """As numbers for the compiled core, of arm number ``arm``: see ``ways.cpp``."""
+        way, straight = self.way, self.way.speeds is None
+        speeds = np.zeros_like(way.rows) if way.speeds is None else way.speeds
+        head = [arm, self.start, self.end, self.origin, self.sense, self.begins, len(way.rows), straight]
+        return np.concatenate([head, way.clocks, way.rows.ravel(), speeds.ravel()])
 
     def section(self, begin: float, sense: int) -> JointPiece:
         """The same on a section of the path that begins at a clock [s]; backwards for a sense of −1."""

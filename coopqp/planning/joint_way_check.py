@@ -12,7 +12,8 @@ from coopqp.constraints.samples import PathSamples
 from coopqp.errors import InvalidInputError
 from coopqp.model.batch import ArmKinematics
 from coopqp.model.branches import amount
-from coopqp.paths.joint_path import FAR_FROM_WAY, JointPiece
+from coopqp.native.constants import FAR_FROM_WAY
+from coopqp.paths.joint_path import JointPiece
 from coopqp.paths.path import ObjectPath
 from coopqp.planning.branch_checks import BranchCheck, PathVerdict, check_branches, not_disproved, worst
 from coopqp.planning.tools_on_object import tool_on_object

@@ -18,9 +18,9 @@ from coopqp.model.batch import ArmKinematics
 from coopqp.model.branches import AT_LIMIT
 from coopqp.model.cell import RobotCell
 from coopqp.model.grasp import Grasp
-from coopqp.native.constants import SEGMENT
+from coopqp.native.constants import FAR_FROM_WAY, SEGMENT
 from coopqp.paths.geometry import PathGeometry, Straight
-from coopqp.paths.joint_path import FAR_FROM_WAY, JointPath, JointPiece
+from coopqp.paths.joint_path import JointPath, JointPiece
 from coopqp.paths.path import HoldPath, ObjectPath
 from coopqp.paths.timed import SpeedProfile, TimedPath
 from coopqp.planning.knots import Knots, arm_knots

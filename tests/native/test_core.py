@@ -536,6 +536,23 @@ def test_paths_that_are_no_numbers_are_refused(paper: Scenario) -> None:
     assert core.step(None, None) is None or core.step(None, None).status.name == "HOLDING"
 
 
+def test_motions_of_tools_that_are_no_numbers_are_refused(paper: Scenario) -> None:
+    """Also ways of joints that end elsewhere than the numbers do, or belong to no arm."""
+    core = core_of(loop_of(paper))
+    still = [0.0, 0.0, 0.0, 1.0, *np.zeros(22)]  # no pieces, one contact
+    way = [2.0, 0.0, 1.0, 0.0, 1.0, 0.0, 2.0, 1.0, 0.0, 1.0, *np.zeros(24)]
+    good = np.array([*still, 1.0, *way])
+    for bad in (
+        np.array(still), good[:-1], np.array([*good, 0.0]), np.array([*still, 2.0, *way]), np.array([*still, -1.0]),
+        *(np.array([*still, 1.0, *way[:i], x, *way[i + 1 :]]) for i, x in ((0, 3), (0, np.nan), (6, 1), (6, 1e300))),
+    ):  # fmt: skip
+        with pytest.raises(ValueError, match="no motion of tools"):
+            core.set_grasps(bad)
+    core.set_grasps(good)
+    core.set_grasps(np.array([*still, 0.0]))
+    core.set_grasps(None)
+
+
 def test_steps_without_python_in_between_are_the_same(paper: Scenario) -> None:
     one, many = loop_of(paper, dt=0.005), loop_of(paper, dt=0.005)
     assert core_of(many).advance(50, None) == 50

@@ -12,6 +12,7 @@ from runs import limited_once
 
 from coopqp import (
     ControlStep,
+    HoldPath,
     InvalidInputError,
     LinePath,
     QPController,
@@ -26,7 +27,7 @@ from coopqp.model.branches import find_branches
 from coopqp.paths import JointPath
 from coopqp.planning import time_program
 from coopqp.programs import FollowsJoints, Phase, Program, Travels, Waits
-from coopqp.scenarios import paper_lift
+from coopqp.scenarios import dual_arm7, paper_lift
 
 DT = 0.01
 #: Joint 4 and 6 turn and joint 5 changes its sign: the wrist's other branch, with the same tool.
@@ -120,7 +121,6 @@ def test_an_arm_follows_its_joints_and_holds_again() -> None:
     task = lift()
     program = out_and_back(task)
     controller = started(task, program)
-    assert controller.kernel == "plain"
     steps = run(controller)
     assert steps[-1].finished
     assert off_way(task, program, steps) < 1e-6
@@ -227,16 +227,59 @@ def test_what_does_not_fit_is_refused_when_it_is_built() -> None:
         FollowsJoints([[0.0]])  # type: ignore[arg-type]
 
 
-def test_the_compiled_kernel_refuses_it_by_name() -> None:
+@pytest.mark.parametrize("preview", [True, False])
+@pytest.mark.parametrize("case", ["rests", "moves", "fast", "samples", "back"])
+def test_the_core_does_the_same(case: str, preview: bool) -> None:
     pytest.importorskip("coopqp.native._core")
     task = lift()
-    program = out_and_back(task)
-    with pytest.raises(InvalidInputError, match="compiled kernel does not know"):
-        QPController(task.cell, task.grasp, program, dt=DT, options={"kernel": "compiled"})
-    controller = QPController(task.cell, task.grasp, task.path, dt=DT)
-    controller.reset(task.q_start)
-    with pytest.raises(InvalidInputError, match="Build the controller with this path"):
-        controller.follow(program)
+    program = out_and_back(task, rests=case != "moves", duration={"fast": 0.4}.get(case, 2.0))
+    if case == "samples":
+        x, at = own(task, task.q_start), np.linspace(0.0, 1.0, 9)
+        way = JointPath.through(3.0 * at, x + np.sin(np.pi * at)[:, None] * ELSEWHERE)
+        back = {"slave_2": Travels(to=task.grasp.T_object_tool[2], retreat_m=0.0)}
+        phases = [Phase("go", arms={"slave_2": FollowsJoints(way)}), Phase("back", arms=back, duration=0.5)]
+        program = Program(task.cell, task.grasp, [*phases, Phase("lift", path=task.path)])
+    options: dict[str, Any] = {} if preview else {"preview": None}
+    pair = [started(task, program, kernel=kernel, **options) for kernel in ("plain", "compiled")]
+    assert [controller.kernel for controller in pair] == ["plain", "compiled"]
+    for i in range(1200):
+        for controller in pair if case == "back" else ():
+            if i == 120:
+                controller.reverse(0.2)
+            elif i == 400:
+                controller.forward()
+        plain, compiled = (controller.step() for controller in pair)
+        assert plain.status is compiled.status
+        assert np.abs(plain.velocity - compiled.velocity).max() < 1e-8
+        assert abs(plain.rate - compiled.rate) < 1e-9
+        if plain.finished or plain.status is Status.HOLDING:
+            break
+    assert plain.finished or not preview
+
+
+def test_a_seven_joint_arm_follows_its_joints() -> None:
+    """All seven are led; the null-space of the others goes on."""
+    pytest.importorskip("coopqp.native._core")
+    task = limited_once(dual_arm7, 5.0)
+    x = task.cell.positions(task.q_start)[task.cell.columns[1]]
+    way = JointPath([x, x + 0.15, x], 1.0)
+    start = task.path.pose(0.0)
+    up = LinePath.displaced(start, translation=(0.0, 0.0, 0.03), duration=2.0)
+    name = task.cell.arm_names[1]
+    travels = Travels(to=task.grasp.T_object_tool[1], retreat_m=0.0)
+    phases = [
+        Phase("go", arms={name: FollowsJoints(way)}, path=HoldPath(start, duration=2.0)),
+        Phase("back", arms={name: travels}, duration=0.5),
+        Phase("up", path=up),
+    ]
+    program = Program(task.cell, task.grasp, phases)
+    runs = [run(started(task, program, kernel=kernel)) for kernel in ("plain", "compiled")]
+    assert all(steps[-1].finished for steps in runs)
+    for plain, compiled in zip(*runs, strict=True):
+        assert np.abs(plain.q_next - compiled.q_next).max() < 1e-8
+    led = [task.cell.positions(step.q_next)[task.cell.columns[1]] for step in runs[1] if step.clock_next < 2.0]
+    off = [np.abs(x - way.at(step.clock_next)[0]).max() for x, step in zip(led, runs[1], strict=False)]
+    assert max(off) < 1e-6
 
 
 def test_a_check_proves_it_phase_by_phase_and_names_what_does_not_fit() -> None:

@@ -185,6 +185,7 @@ class CompiledLoop:
             if had:
                 at["object"][:], at["shares"][:], at["holding"][:] = at["places"], self._shares_of(None), 1.0
                 self._chain.place(self._fixed)
+                self._chain.apart = ()
             self._core.set_grasps(None)
             if had and self._shift is not None:
                 self._core.shift_grasp(self._shift)
@@ -556,6 +557,7 @@ class CompiledLoop:
             self._chain.shift_grasp(self._shift)
         if self._motion is not None:
             self._chain.place(self._motion.placements(self._loop.clock))
+            self._chain.apart = self._motion.apart(self._loop.clock)
             self._shares[:] = at["shares"].reshape(-1, 6)
         given = self._given()
         found = self._definition.answer(given)

@@ -20,6 +20,8 @@ from coopqp.model.grasp import Grasp
 from coopqp.native.constants import ALIKE, NO_MISMATCH, SAID_APART, TOGETHER_AGAIN
 from coopqp.spatial import Array
 
+#: An arm that is not where its joints are led.
+OFF_WAY = "arm {arm} is not on the way of its joints: {joint} is {far:.3g} rad (or m) off"
 #: Two arms that their commands part.
 PARTED = "arms {arm} and {other} are commanded {mm:.2g} mm apart"
 

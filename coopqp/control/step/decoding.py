@@ -8,7 +8,7 @@ import numpy as np
 
 from coopqp.constraints.cause import Cause
 from coopqp.control.interface import NO_SOLVE, NOTHING, GivenUp, SolverReport, Status, off_path
-from coopqp.control.monitoring.commanded import PARTED
+from coopqp.control.monitoring.commanded import OFF_WAY, PARTED
 from coopqp.control.monitoring.lag import OFF_LAG
 from coopqp.control.monitoring.options import SupervisionOptions
 from coopqp.control.monitoring.supervision import refused_dt
@@ -183,6 +183,9 @@ def reason(cell: RobotCell, force_limit: float, code: int, index: float, a: floa
     """The sentence of a reason of :data:`layout.REASONS`."""
     if code == _REASONS["PATH_JUMPS"]:
         return jump(b, a)
+    if code == _REASONS["OFF_WAY"]:
+        name = cell.joint_names[int(b)]
+        return OFF_WAY.format(arm=name.partition("/")[0], joint=name, far=a)
     i, other = int(index), int(b) if code in _BOTH else 0
     arm, joint = (names[i] if i < len(names) else "" for names in (cell.arm_names, cell.joint_names))
     words = {"arm": arm, "joint": joint, "other": cell.arm_names[other], "limit": force_limit}

@@ -22,7 +22,7 @@ from coopqp.control.lock import Lock
 from coopqp.control.lookahead.constraints import ConstraintsAhead
 from coopqp.control.lookahead.options import PlanLimits, PreviewOptions
 from coopqp.control.lookahead.preview import PathPreview
-from coopqp.control.monitoring.commanded import PARTED, ChainWatch, among_arms, expected
+from coopqp.control.monitoring.commanded import OFF_WAY, PARTED, ChainWatch, among_arms, expected
 from coopqp.control.monitoring.servos import ServoWatch
 from coopqp.control.monitoring.supervision import Supervision
 from coopqp.control.monitoring.watch import Watch
@@ -42,10 +42,16 @@ from coopqp.model.chain import Chain
 from coopqp.model.grasp import Grasp, mean_pose
 from coopqp.model.limits import BindingLimit, LimitKind
 from coopqp.model.posture import Posture
-from coopqp.native.constants import LEAST_PACE, MOST_TIGHTENINGS, NEGLIGIBLE, SAID_APART, SAME_CLOCK
+from coopqp.native.constants import (
+    FAR_FROM_WAY,
+    LEAST_PACE,
+    MOST_TIGHTENINGS,
+    NEGLIGIBLE,
+    SAID_APART,
+    SAME_CLOCK,
+)
 from coopqp.paths.grasp_motion import GraspMotion
 from coopqp.paths.guarded import GuardedPath, jump
-from coopqp.paths.joint_path import FAR_FROM_WAY
 from coopqp.paths.path import ObjectPath
 from coopqp.spatial import Array
 
@@ -363,8 +369,7 @@ class PlainLoop:
             if off.max() > FAR_FROM_WAY:
                 joint = self.cell.joint_names[columns[int(off.argmax())]]
                 arm, far = self.cell.arm_names[k], float(off.max())
-                reason = f"arm {arm} is not on the way of its joints: {joint} is {far:.3g} rad (or m) off"
-                watch.lower(Watch.holding(reason, Cause.INPUT))
+                watch.lower(Watch.holding(OFF_WAY.format(arm=arm, joint=joint, far=far), Cause.INPUT))
 
     @property
     def held(self) -> tuple[GraspMotion, float, float] | None:
