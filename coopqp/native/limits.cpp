@@ -2,11 +2,20 @@
 
 #include "functions.h"
 
+/* Share of a distance that rounding may take from it. */
+#define STOPS_SURELY 1e-9
+
 /* Largest speed from which distance d ≥ 0 suffices to stop: v h + v²/(2a) = d, without cancellation. */
 static double stopping_speed(double d, double a, double h) {
     if (!isfinite(a) || !isfinite(d)) return d / h;
     const double step = a * h;
     return 2.0 * a * d / (sqrt(step * step + 2.0 * a * d) + step);
+}
+
+/* Whether distance d suffices to stop from a speed, or from any at all for a negative one: it is surely not more than
+ * stopping_speed(). `per` is 1/(2a). */
+static bool stops_within(double speed, double d, double per, double h) {
+    return speed * (h + speed * per) < (1.0 - STOPS_SURELY) * d;
 }
 
 /* The fastest that joint j may be in a step of any motion: without a velocity and an acceleration limit it moves by
@@ -25,9 +34,11 @@ static int box(Core *c, double h) {
         const double x = c->positions[j], up = c->high[j] - x, down = x - c->low[j];
         const double a = c->acceleration[j], v = c->velocity[j];
         if (!(up >= 0.0 && down >= 0.0 && isfinite(v))) inside = 0;
-        const double speed = fastest(c, j, h);
-        double upper = fmin(speed, stopping_speed(fmax(up, 0.0), a, h));
-        double lower = -fmin(speed, stopping_speed(fmax(down, 0.0), a, h));
+        const double speed = fastest(c, j, h), per = 0.5 / a;
+        const double most_up = fmin(speed, v + a * h), most_down = fmin(speed, a * h - v);
+        double upper = speed, lower = -speed;
+        if (!stops_within(most_up, up, per, h)) upper = fmin(speed, stopping_speed(fmax(up, 0.0), a, h));
+        if (!stops_within(most_down, down, per, h)) lower = -fmin(speed, stopping_speed(fmax(down, 0.0), a, h));
         if (isfinite(a)) {
             upper = clamp(upper, v - a * h, v + a * h);
             lower = clamp(lower, v - a * h, v + a * h);
