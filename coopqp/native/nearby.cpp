@@ -2,7 +2,6 @@
 
 #include "nearby.h"
 
-#include <Eigen/QR>
 #include <math.h>
 #include <string.h>
 
@@ -154,64 +153,12 @@ double Shapes::bound(Py_ssize_t k, double enough, double tolerance) {
 
 double Shapes::gap(Py_ssize_t k, double *ends) {
     const Shape &a = placed((size_t)first[(size_t)k]), &b = placed((size_t)second[(size_t)k]);
-    Vector3 point;
-    const double found = least_gap(a, b, ways[(size_t)k], INFINITY, GJK_SHARE, &point);
-    Twist(ends, 6, 1) = both(ways[(size_t)k], point);
+    Vector3 &way = ways[(size_t)k], point;
+    const double apart = (b.T.p - a.T.p).norm(); /* an answer does not depend on those before */
+    way = apart > CORES_TOUCH ? Vector3((b.T.p - a.T.p) / apart) : Vector3::UnitX();
+    const double found = least_gap(a, b, way, INFINITY, GJK_SHARE, &point);
+    Twist(ends, 6, 1) = both(way, point);
     return found;
-}
-
-/* -- evasion --------------------------------------------------------------------------------------------------------- */
-
-void Evasion::add(const std::vector<double> &G, double lacks) {
-    rows.insert(rows.end(), G.begin(), G.end());
-    missing.push_back(lacks);
-}
-
-/* An orthonormal basis of each redundant arm's self-motion, in units of its joints' speeds. */
-void Evasion::find_basis(Shapes &shapes, const In &arm, const In &speeds) {
-    const Py_ssize_t nv = arm.size;
-    basis.resize(nv, 0);
-    for (Py_ssize_t begin = 0, end; begin < nv; begin = end) {
-        for (end = begin; end < nv && arm.data[end] == arm.data[begin];) end++;
-        const Py_ssize_t n = end - begin, motions = n - 6;
-        if (motions <= 0) continue;
-        Eigen::VectorXd scale(n);
-        Eigen::MatrixXd tool(n, 6); /* what each joint does to it */
-        for (Py_ssize_t i = 0; i < n; i++) {
-            scale[i] = speeds.data[begin + i] < FASTEST_JOINT ? speeds.data[begin + i] : 1.0;
-            tool.row(i) = scale[i] * shapes.twist((size_t)(begin + i)).transpose();
-        }
-        const Eigen::MatrixXd Q = tool.householderQr().householderQ();
-        basis.conservativeResize(nv, basis.cols() + motions);
-        basis.rightCols(motions).setZero();
-        basis.rightCols(motions).middleRows(begin, n) = scale.asDiagonal() * Q.rightCols(motions);
-    }
-}
-
-/* min |z|² + |s|² with G (q′ + N z) + s / YIELDS >= lower: of rows that self-motion changes, with unit norm. */
-void Evasion::move(Shapes &shapes, const In &arm, const In &speeds, double *slope) {
-    using Rows = Eigen::Matrix<double, Eigen::Dynamic, Eigen::Dynamic, Eigen::RowMajor>;
-    find_basis(shapes, arm, speeds);
-    const Py_ssize_t motions = basis.cols(), all = (Py_ssize_t)missing.size();
-    const Rows turned = Eigen::Map<const Rows>(rows.data(), all, arm.size) * basis;
-    std::vector<Py_ssize_t> helping;
-    for (Py_ssize_t i = 0; i < all && motions; i++)
-        if (turned.row(i).cwiseAbs().maxCoeff() > HELPS) helping.push_back(i);
-    const Py_ssize_t m = (Py_ssize_t)helping.size(), n = m + motions;
-    if (!m) return;
-    Rows A = Rows::Zero(m, n);
-    Eigen::VectorXd low(m), x(n), y(m + n), work(2 * n * (n + 3));
-    for (Py_ssize_t i = 0; i < m; i++) {
-        const auto row = turned.row(helping[(size_t)i]);
-        const double per = 1.0 / sqrt(row.squaredNorm() + 1.0 / (YIELDS * YIELDS));
-        A.row(i).head(motions) = per * row;
-        A(i, motions + i) = per / YIELDS, low[i] = per * missing[(size_t)helping[(size_t)i]];
-    }
-    const Eigen::VectorXd ub = Eigen::VectorXd::Constant(m + n, INFINITY), lb = -ub;
-    if (best()->least_distance((int)n, (int)m, A.data(), low.data(), ub.data(), lb.data(), ub.data(), INFINITY, x.data(),
-                               y.data(), work.data()) < 0)
-        return;
-    Eigen::Map<Eigen::VectorXd>(slope, arm.size) += basis * x.head(motions);
 }
 
 /* -- building -------------------------------------------------------------------------------------------------------- */
