@@ -447,27 +447,61 @@ bool Nearby::surveys() {
     return true;
 }
 
-std::optional<std::vector<Py_ssize_t>> Nearby::doubtful(Py_ssize_t place) {
+/* Clearance of a pair at x: a lower bound that is at least `enough`, else as coal says. */
+double Nearby::clearance_at(Py_ssize_t k, const double *x, double enough) {
+    shapes.place(x);
+    const double least = shapes.bound(k, INFINITY, GJK_SHARE) - margins.data[k];
+    if (least >= enough) return least;
+    coal.place(x);
+    return coal.distance(k) - margins.data[k];
+}
+
+/* The same on the way back from a knot, a time before it: q'' is constant there. */
+double Nearby::clearance_before(Py_ssize_t k, const Arrival &to, double back, double enough) {
+    for (size_t j = 0; j < coming.size(); j++) coming[j] = to.x[j] + (0.5 * back * to.curvature[j] - to.slope[j]) * back;
+    return clearance_at(k, coming.data(), enough);
+}
+
+/* Whether a pair falls below `least` between two times before a knot, with clearances there, on a way that takes no more
+ * than `way`. */
+bool Nearby::falls_below(Py_ssize_t k, const Arrival &to, double least, Sample late, Sample early, double way) {
+    if (0.5 * (late.clearance + early.clearance - way) >= least || way < BEND_SAMPLE) return false;
+    const double middle = 0.5 * (late.back + early.back);
+    const Sample there = {middle, clearance_before(k, to, middle, least)};
+    return there.clearance < least || falls_below(k, to, least, late, there, 0.5 * way) ||
+           falls_below(k, to, least, there, early, 0.5 * way);
+}
+
+/* Whether a pair comes inside its margin, or closer inside it, on the way to a knot: Clearance._crosses. */
+bool Nearby::crosses(Py_ssize_t k, const Arrival &to, double way) {
+    const double before = clearance_before(k, to, to.span, 0.0), least = minimum(before, 0.0) - STANDING;
+    const double after = clearance_at(k, to.x, least);
+    return after < least || falls_below(k, to, least, {0.0, after}, {to.span, before}, way);
+}
+
+Py_ssize_t Nearby::stopping(Py_ssize_t place) {
     const Py_ssize_t nv = joints, size = (Py_ssize_t)knot_numbers.data[0];
     if (place < 0 || place >= knot_at.size / nv) throw nb::index_error("there is no such knot");
-    const double *x = knot_at.data + place * nv, *slope = knot_slope.data + place * nv;
-    const double *curvature = knot_curvature.data + place * nv;
     const double span = knots.data[place * size + (Py_ssize_t)knot_numbers.data[1]];
+    const Arrival to = {knot_at.data + place * nv, knot_slope.data + place * nv, knot_curvature.data + place * nv, span};
     double *way = next.data();
-    for (Py_ssize_t j = 0; j < nv; j++) way[j] = BENT_WAY * fabs((0.5 * span * curvature[j] - slope[j]) * span);
-    survey_now(&survey, x, measured);
-    follow(x);
-    if (left_at(&survey, x) < most_of_two(&survey, survey.weights.data(), way)) survey_anew(&survey, x, measured);
-    std::optional<std::vector<Py_ssize_t>> found;
-    if (most_of_two(&survey, survey.weights.data(), way) <= left_at(&survey, x)) {
-        found.emplace();
+    for (Py_ssize_t j = 0; j < nv; j++) way[j] = BENT_WAY * fabs((0.5 * span * to.curvature[j] - to.slope[j]) * span);
+    survey_now(&survey, to.x, measured);
+    follow(to.x);
+    if (left_at(&survey, to.x) < most_of_two(&survey, survey.weights.data(), way)) survey_anew(&survey, to.x, measured);
+    Py_ssize_t found = -1;
+    if (most_of_two(&survey, survey.weights.data(), way) <= left_at(&survey, to.x)) {
+        found = -2;
         for (const Py_ssize_t k : survey.close) {
             const double least = taken(&survey, k, way);
-            if (bounded(k, x, maximum(set.evades, least), SHARP) < least) found->push_back(k);
+            if (bounded(k, to.x, maximum(set.evades, least), SHARP) < least && crosses(k, to, least)) {
+                found = k;
+                break;
+            }
         }
     }
     slack.data[0] = -1.0; /* every knot is looked at: from it the next one is prepared */
-    for (Py_ssize_t j = 0; j < nv; j++) coming[(size_t)j] = slope[j] * span;
+    for (Py_ssize_t j = 0; j < nv; j++) coming[(size_t)j] = to.slope[j] * span;
     job = IDLE;
     return found;
 }
