@@ -12,10 +12,9 @@ static double stopping_speed(double d, double a, double h) {
     return 2.0 * a * d / (sqrt(step * step + 2.0 * a * d) + step);
 }
 
-/* Whether distance d suffices to stop from a speed, or from any at all for a negative one: it is surely not more than
- * stopping_speed(). `per` is 1/(2a). */
-static bool stops_within(double speed, double d, double per, double h) {
-    return speed * (h + speed * per) < (1.0 - STOPS_SURELY) * d;
+/* Whether a speed is surely below stopping_speed(), by its square; false where no acceleration is limited. */
+static bool stops_within(double speed, double d, double a, double h) {
+    return speed * (2.0 * a * h + speed) < (1.0 - STOPS_SURELY) * (2.0 * a * d);
 }
 
 /* The fastest that joint j may be in a step of any motion: without a velocity and an acceleration limit it moves by
@@ -34,11 +33,10 @@ static int box(Core *c, double h) {
         const double x = c->positions[j], up = c->high[j] - x, down = x - c->low[j];
         const double a = c->acceleration[j], v = c->velocity[j];
         if (!(up >= 0.0 && down >= 0.0 && isfinite(v))) inside = 0;
-        const double speed = fastest(c, j, h), per = 0.5 / a;
-        const double most_up = fmin(speed, v + a * h), most_down = fmin(speed, a * h - v);
-        double upper = speed, lower = -speed;
-        if (!stops_within(most_up, up, per, h)) upper = fmin(speed, stopping_speed(fmax(up, 0.0), a, h));
-        if (!stops_within(most_down, down, per, h)) lower = -fmin(speed, stopping_speed(fmax(down, 0.0), a, h));
+        const double speed = fastest(c, j, h), most_up = minimum(speed, v + a * h), most_down = minimum(speed, a * h - v);
+        double upper = speed, lower = -speed; /* a stop binds where a step could reach its speed */
+        if (!stops_within(most_up, up, a, h)) upper = fmin(speed, stopping_speed(fmax(up, 0.0), a, h));
+        if (!stops_within(most_down, down, a, h)) lower = -fmin(speed, stopping_speed(fmax(down, 0.0), a, h));
         if (isfinite(a)) {
             upper = clamp(upper, v - a * h, v + a * h);
             lower = clamp(lower, v - a * h, v + a * h);
