@@ -7,7 +7,7 @@ is reached within one step, at the earliest. Where nothing is known ahead, ξ is
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any, final
 
@@ -343,17 +343,11 @@ class Clearance:
 
     # -- the path ahead --------------------------------------------------------------------------------------------
 
-    def stopping_pair(self, knot: Knot, among: Sequence[int] | None = None) -> int:
-        """Label of a pair, of all or among some, that stops the object from the grid point before to this one, or −1.
+    def stopping_pair(self, knot: Knot) -> int:
+        """Label of a pair that stops the object from the grid point before to this one, or −1.
 
         It stops where the distance is below the margin while it falls.
         """
-        if among is not None:
-            self._distances.place(knot.state.q)
-            self._ahead.ask(among)
-            motion = BENT_WAY * np.abs(self._back(knot, knot.span))
-            ways = [float(self._reach[k] @ motion) for k in among]
-            return next((k for k, way in zip(among, ways, strict=True) if self._crosses(k, knot, way)), -1)
         bounds, positions = self._ahead, self.scene.cell.positions
         bounds.follow(positions(knot.state.q))
         way = BENT_WAY * (self._reach @ np.abs(self._back(knot, knot.span)))

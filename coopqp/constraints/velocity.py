@@ -7,7 +7,7 @@ on the path, the QP. A line ``a z + b σ̇ ≤ c`` with z = σ² bounds the path
 from __future__ import annotations
 
 import enum
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, fields
 from typing import Any, NamedTuple, Protocol, final, runtime_checkable
 
@@ -101,8 +101,8 @@ class RowsInMemory(Protocol):
         """Raise lower bounds that the command breaks; whether it does."""
         ...
 
-    def doubtful(self, place: int, /) -> list[int] | None:
-        """Labels that may stop the object from the grid point before a place on; None if nothing is known."""
+    def stopping(self, place: int, /) -> int:
+        """Label that stops the object on the way to the grid point at a place, -2 for none; -1 if that is not known."""
         ...
 
     def prepare(self) -> None:
@@ -157,8 +157,8 @@ class CertifiedConstraint(VelocityConstraint, Protocol):
         """The same rows, or those of the look-ahead, in the memory of a compiled step; None without a native form."""
         ...
 
-    def stopping_pair(self, knot: Knot, among: Sequence[int] | None = None) -> int:
-        """Number of the label, of all or among some, that stops the object before a grid point; −1 if none does."""
+    def stopping_pair(self, knot: Knot) -> int:
+        """Number of the label that stops the object before a grid point; −1 if none does."""
         ...
 
     def evaded(self, q: Array, slope: Array) -> Array:

@@ -18,7 +18,7 @@ static Knot *knot_in(const Core *c, int place) { return c->knots + place; }
 
 static Knot *knot(const Core *c, int i) { return knot_in(c, place_of(c, i)); }
 
-/* Vectors of knot i: knot_positions, knot_slope or knot_curvature. */
+/* Vectors of knot i: knot_positions, knot_slope, knot_curvature or knot_bending. */
 static double *vector_of(const Core *c, double *vectors, int i) {
     return vectors + (size_t)place_of(c, i) * (size_t)c->joints;
 }
@@ -30,7 +30,7 @@ static void copy_knot(Core *c, int from, int to) {
     const size_t bytes = sizeof(double) * (size_t)c->joints;
     if (from == to) return;
     *knot(c, to) = *knot(c, from);
-    for (double *vectors : {c->knot_positions, c->knot_slope, c->knot_curvature, c->knot_edges})
+    for (double *vectors : {c->knot_positions, c->knot_slope, c->knot_curvature, c->knot_bending, c->knot_edges})
         memcpy(vector_of(c, vectors, to), vector_of(c, vectors, from), bytes);
 }
 
@@ -84,6 +84,9 @@ struct Least {
 static Least least_square(const Core *c, double clock, double rate, double dt);
 /* The largest rate below 1 that K admits for a step. `least` is the least K at rate 1, on return at the rate found. */
 static double largest_rate(const Core *c, double clock, double dt, Least *least);
+
+/* Whether K may come to admit a rate for a step as more knots become known. */
+static int may_admit(Core *c, double clock, double dt, double rate);
 
 /* -- chain_ahead.cpp ------------------------------------------------------------------------------------ */
 

@@ -68,7 +68,7 @@ static void elbow_velocity(const Core *c, double clock, double span, const doubl
     }
 }
 
-/* Where the joints are expected a span after knot `last`: along its slope, or with the elbows that lead them. */
+/* Where the joints are expected a span after knot `last`: as q′ and q″ go on, or with the elbows that lead them. */
 static void expect(const Core *c, int last, double span, double *x) {
     const Knot *from = knot(c, last);
     const double *x0 = vector_of(c, c->knot_positions, last);
@@ -83,8 +83,10 @@ static void expect(const Core *c, int last, double span, double *x) {
         return;
     }
     const double *slope = vector_of(c, c->knot_slope, last), *curvature = vector_of(c, c->knot_curvature, last);
-    const double bends = from->corner == 0.0 ? 0.5 * span : 0.0;
-    for (int j = 0; j < c->joints; j++) x[j] = x0[j] + (curvature[j] * bends + slope[j]) * span;
+    const double *bending = vector_of(c, c->knot_bending, last);
+    const double bends = from->corner == 0.0 ? 0.5 * span : 0.0, bends_more = bends * (0.5 * from->span + span / 3.0);
+    for (int j = 0; j < c->joints; j++)
+        x[j] = x0[j] + (curvature[j] * bends + bending[j] * bends_more + slope[j]) * span;
 }
 
 /* Newton's step from `positions` to the pose at `clock`, and q′ there; where the twist jumps, that before it. */
@@ -264,11 +266,15 @@ static int bound_by_limits(Core *c, int before, int i, double clock, double span
     const double *slope = vector_of(c, c->knot_slope, i), *x = vector_of(c, c->knot_positions, i);
     const double *then = before < 0 ? slope : vector_of(c, c->knot_slope, before);
     Knot *k = knot(c, i);
-    double *curvature = vector_of(c, c->knot_curvature, i);
+    double *curvature = vector_of(c, c->knot_curvature, i), *bending = vector_of(c, c->knot_bending, i);
+    const double *bent = before < 0 ? curvature : vector_of(c, c->knot_curvature, before);
+    const int goes_on = before >= 0 && knot(c, before)->span > 0.0 && knot(c, before)->corner == 0.0;
+    const double per = goes_on ? 2.0 / (span + knot(c, before)->span) : 0.0;
     double fastest = 0.0, change = -INFINITY, by_speed = 0.0, by_bend = 0.0;
     int j_speed = 0, j_bend = 0, inside = 1;
     for (int j = 0; j < c->joints; j++) {
         curvature[j] = (slope[j] - then[j]) / span;
+        bending[j] = per * (curvature[j] - bent[j]);
         const double bend = fabs(curvature[j]), speed = fabs(slope[j]);
         /* Use of the joint's limits at full rate: z is at most 1 over the speed's square, and 1 over the curvature's. */
         const double use_speed = speed * (1.0 / c->plan_speed[j]);

@@ -92,7 +92,7 @@ void bind_distances(nb::module_ &m) {
         .def("rows", &Nearby::rows)
         .def("clear", &Nearby::clear)
         .def("tightened", &Nearby::tightened)
-        .def("doubtful", &Nearby::doubtful)
+        .def("stopping", &Nearby::stopping)
         .def("prepare", &Nearby::prepare)
         .def("surveys", &Nearby::surveys)
         .def("evade", &Nearby::evade)

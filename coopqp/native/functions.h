@@ -135,8 +135,11 @@ static int quiet_knot(Core *c, const double *x, const double *slope, const doubl
 /* Start at the commanded positions, on or near the path, and look ahead as far as a step needs; `later`: that is left
  * to the steps. */
 static void preview_reset(Core *c, double clock, int later);
-/* The same behind `kept` knots, which stay in the ring: a copy of AHEAD goes on with them. */
-static void preview_try(Core *c, double clock, int kept, int later);
+/* The first knot alone, behind `kept` knots, which stay in the ring: a copy of AHEAD goes on with them. */
+static void preview_try(Core *c, double clock, int kept);
+/* Some more knots, with so many Newton steps left: 1 where further ones are needed for a first step, 0 where not; −1 where
+ * that is certain not to keep to a rate. */
+static int preview_grow(Core *c, double clock, double rate, int *steps);
 /* Largest admissible rate at `clock` for a step of dt. The cause of the proposal says what makes it. */
 static double preview_cap(Core *c, double clock, double dt);
 /* Largest rise of the rate near `clock` by further constraints [1/s]. */

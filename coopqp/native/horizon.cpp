@@ -2,6 +2,11 @@
 
 #include "ahead.h"
 
+/* Whether a rate may be admitted is asked while fewer knots are known: a limit near by shows then; a rate that misses by less
+ * may be one that rounding has lowered. */
+#define MOST_HOPED 16
+#define HOPED_ROUNDING 1e-6
+
 /* K at knot i from K at the next one, and its cause; 1 if that is K ahead. K only rises from one pass to the next,
  * and follows K ahead along a line from since, where it was found, to until. */
 static int share_at(Core *c, int i) {
@@ -162,4 +167,24 @@ static double largest_rate(const Core *c, double clock, double dt, Least *least)
         if ((1.0 - 2.0 * short_of) * met_by(there, rate) <= rate) break;
     }
     return low >= LEAST_RATE ? low : 0.0;
+}
+
+/* K is at most what it would be if the object might pass the last knot but one as fast as that alone allows; q″ is not known
+ * at the last. A rate needs its square at a clock of the step. */
+static int may_admit(Core *c, double clock, double dt, double rate) {
+    const int end = (int)c->ahead->count - 2, first = knot_before(c, clock);
+    Knot kept[MOST_HOPED];
+    if (!(rate > 0.0) || c->ahead->complete != 0.0 || end < 1 || end >= MOST_HOPED || knot(c, end)->clock < clock + dt) return 1;
+    for (int i = 0; i <= end; i++) kept[i] = *knot(c, i);
+    knot(c, end)->square = knot(c, end)->cap;
+    for (int i = end - 1; i >= first; i--)
+        if (knot(c, i + 1)->span == 0.0) knot(c, i)->square = knot(c, i + 1)->square; /* the same knot again */
+        else find_share(c, i);
+    double most = square_after(c, first, clock).square;
+    int i = first;
+    while (knot(c, i + 1)->clock < clock + dt) most = maximum(most, knot(c, ++i)->square);
+    most = maximum(most, square_after(c, i, clock + dt).square);
+    for (int k = 0; k <= end; k++) *knot(c, k) = kept[k];
+    const double least = rate - HOPED_ROUNDING;
+    return !(most < least * least);
 }

@@ -133,7 +133,7 @@ STATE = _fields(
     "slow_forces n; ahead Ahead; ahead_object 12 * n; ahead_shift 6 * n; "
     "kinks MOST_KINKS; seek_low 12; seek_high 12; told_velocity nv; knots Knot * MOST_KNOTS; "
     "knot_positions nv * MOST_KNOTS; knot_slope nv * MOST_KNOTS; knot_curvature nv * MOST_KNOTS; "
-    "knot_edges nv * MOST_KNOTS"
+    "knot_bending nv * MOST_KNOTS; knot_edges nv * MOST_KNOTS"
 )
 WORK = _fields(
     "proposal Proposal; own_pose 12; near_x nv; near_sin nv; near_cos nv; carried 12 * n; jacobian 6 * nv; pose 12; "

@@ -2,11 +2,19 @@
 
 #include "functions.h"
 
+/* Share of a distance that rounding may take from it. */
+#define STOPS_SURELY 1e-9
+
 /* Largest speed from which distance d ≥ 0 suffices to stop: v h + v²/(2a) = d, without cancellation. */
 static double stopping_speed(double d, double a, double h) {
     if (!isfinite(a) || !isfinite(d)) return d / h;
     const double step = a * h;
     return 2.0 * a * d / (sqrt(step * step + 2.0 * a * d) + step);
+}
+
+/* Whether a speed is surely below stopping_speed(), by its square; false where no acceleration is limited. */
+static bool stops_within(double speed, double d, double a, double h) {
+    return speed * (2.0 * a * h + speed) < (1.0 - STOPS_SURELY) * (2.0 * a * d);
 }
 
 /* The fastest that joint j may be in a step of any motion: without a velocity and an acceleration limit it moves by
@@ -25,9 +33,10 @@ static int box(Core *c, double h) {
         const double x = c->positions[j], up = c->high[j] - x, down = x - c->low[j];
         const double a = c->acceleration[j], v = c->velocity[j];
         if (!(up >= 0.0 && down >= 0.0 && isfinite(v))) inside = 0;
-        const double speed = fastest(c, j, h);
-        double upper = fmin(speed, stopping_speed(fmax(up, 0.0), a, h));
-        double lower = -fmin(speed, stopping_speed(fmax(down, 0.0), a, h));
+        const double speed = fastest(c, j, h), most_up = minimum(speed, v + a * h), most_down = minimum(speed, a * h - v);
+        double upper = speed, lower = -speed; /* a stop binds where a step could reach its speed */
+        if (!stops_within(most_up, up, a, h)) upper = fmin(speed, stopping_speed(fmax(up, 0.0), a, h));
+        if (!stops_within(most_down, down, a, h)) lower = -fmin(speed, stopping_speed(fmax(down, 0.0), a, h));
         if (isfinite(a)) {
             upper = clamp(upper, v - a * h, v + a * h);
             lower = clamp(lower, v - a * h, v + a * h);

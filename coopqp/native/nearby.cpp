@@ -2,7 +2,6 @@
 
 #include "nearby.h"
 
-#include <Eigen/QR>
 #include <math.h>
 #include <string.h>
 
@@ -154,64 +153,12 @@ double Shapes::bound(Py_ssize_t k, double enough, double tolerance) {
 
 double Shapes::gap(Py_ssize_t k, double *ends) {
     const Shape &a = placed((size_t)first[(size_t)k]), &b = placed((size_t)second[(size_t)k]);
-    Vector3 point;
-    const double found = least_gap(a, b, ways[(size_t)k], INFINITY, GJK_SHARE, &point);
-    Twist(ends, 6, 1) = both(ways[(size_t)k], point);
+    Vector3 &way = ways[(size_t)k], point;
+    const double apart = (b.T.p - a.T.p).norm(); /* an answer does not depend on those before */
+    way = apart > CORES_TOUCH ? Vector3((b.T.p - a.T.p) / apart) : Vector3::UnitX();
+    const double found = least_gap(a, b, way, INFINITY, GJK_SHARE, &point);
+    Twist(ends, 6, 1) = both(way, point);
     return found;
-}
-
-/* -- evasion --------------------------------------------------------------------------------------------------------- */
-
-void Evasion::add(const std::vector<double> &G, double lacks) {
-    rows.insert(rows.end(), G.begin(), G.end());
-    missing.push_back(lacks);
-}
-
-/* An orthonormal basis of each redundant arm's self-motion, in units of its joints' speeds. */
-void Evasion::find_basis(Shapes &shapes, const In &arm, const In &speeds) {
-    const Py_ssize_t nv = arm.size;
-    basis.resize(nv, 0);
-    for (Py_ssize_t begin = 0, end; begin < nv; begin = end) {
-        for (end = begin; end < nv && arm.data[end] == arm.data[begin];) end++;
-        const Py_ssize_t n = end - begin, motions = n - 6;
-        if (motions <= 0) continue;
-        Eigen::VectorXd scale(n);
-        Eigen::MatrixXd tool(n, 6); /* what each joint does to it */
-        for (Py_ssize_t i = 0; i < n; i++) {
-            scale[i] = speeds.data[begin + i] < FASTEST_JOINT ? speeds.data[begin + i] : 1.0;
-            tool.row(i) = scale[i] * shapes.twist((size_t)(begin + i)).transpose();
-        }
-        const Eigen::MatrixXd Q = tool.householderQr().householderQ();
-        basis.conservativeResize(nv, basis.cols() + motions);
-        basis.rightCols(motions).setZero();
-        basis.rightCols(motions).middleRows(begin, n) = scale.asDiagonal() * Q.rightCols(motions);
-    }
-}
-
-/* min |z|² + |s|² with G (q′ + N z) + s / YIELDS >= lower: of rows that self-motion changes, with unit norm. */
-void Evasion::move(Shapes &shapes, const In &arm, const In &speeds, double *slope) {
-    using Rows = Eigen::Matrix<double, Eigen::Dynamic, Eigen::Dynamic, Eigen::RowMajor>;
-    find_basis(shapes, arm, speeds);
-    const Py_ssize_t motions = basis.cols(), all = (Py_ssize_t)missing.size();
-    const Rows turned = Eigen::Map<const Rows>(rows.data(), all, arm.size) * basis;
-    std::vector<Py_ssize_t> helping;
-    for (Py_ssize_t i = 0; i < all && motions; i++)
-        if (turned.row(i).cwiseAbs().maxCoeff() > HELPS) helping.push_back(i);
-    const Py_ssize_t m = (Py_ssize_t)helping.size(), n = m + motions;
-    if (!m) return;
-    Rows A = Rows::Zero(m, n);
-    Eigen::VectorXd low(m), x(n), y(m + n), work(2 * n * (n + 3));
-    for (Py_ssize_t i = 0; i < m; i++) {
-        const auto row = turned.row(helping[(size_t)i]);
-        const double per = 1.0 / sqrt(row.squaredNorm() + 1.0 / (YIELDS * YIELDS));
-        A.row(i).head(motions) = per * row;
-        A(i, motions + i) = per / YIELDS, low[i] = per * missing[(size_t)helping[(size_t)i]];
-    }
-    const Eigen::VectorXd ub = Eigen::VectorXd::Constant(m + n, INFINITY), lb = -ub;
-    if (best()->least_distance((int)n, (int)m, A.data(), low.data(), ub.data(), lb.data(), ub.data(), INFINITY, x.data(),
-                               y.data(), work.data()) < 0)
-        return;
-    Eigen::Map<Eigen::VectorXd>(slope, arm.size) += basis * x.head(motions);
 }
 
 /* -- building -------------------------------------------------------------------------------------------------------- */
@@ -500,27 +447,61 @@ bool Nearby::surveys() {
     return true;
 }
 
-std::optional<std::vector<Py_ssize_t>> Nearby::doubtful(Py_ssize_t place) {
+/* Clearance of a pair at x: a lower bound that is at least `enough`, else as coal says. */
+double Nearby::clearance_at(Py_ssize_t k, const double *x, double enough) {
+    shapes.place(x);
+    const double least = shapes.bound(k, INFINITY, GJK_SHARE) - margins.data[k];
+    if (least >= enough) return least;
+    coal.place(x);
+    return coal.distance(k) - margins.data[k];
+}
+
+/* The same on the way back from a knot, a time before it: q'' is constant there. */
+double Nearby::clearance_before(Py_ssize_t k, const Arrival &to, double back, double enough) {
+    for (size_t j = 0; j < coming.size(); j++) coming[j] = to.x[j] + (0.5 * back * to.curvature[j] - to.slope[j]) * back;
+    return clearance_at(k, coming.data(), enough);
+}
+
+/* Whether a pair falls below `least` between two times before a knot, with clearances there, on a way that takes no more
+ * than `way`. */
+bool Nearby::falls_below(Py_ssize_t k, const Arrival &to, double least, Sample late, Sample early, double way) {
+    if (0.5 * (late.clearance + early.clearance - way) >= least || way < BEND_SAMPLE) return false;
+    const double middle = 0.5 * (late.back + early.back);
+    const Sample there = {middle, clearance_before(k, to, middle, least)};
+    return there.clearance < least || falls_below(k, to, least, late, there, 0.5 * way) ||
+           falls_below(k, to, least, there, early, 0.5 * way);
+}
+
+/* Whether a pair comes inside its margin, or closer inside it, on the way to a knot: Clearance._crosses. */
+bool Nearby::crosses(Py_ssize_t k, const Arrival &to, double way) {
+    const double before = clearance_before(k, to, to.span, 0.0), least = minimum(before, 0.0) - STANDING;
+    const double after = clearance_at(k, to.x, least);
+    return after < least || falls_below(k, to, least, {0.0, after}, {to.span, before}, way);
+}
+
+Py_ssize_t Nearby::stopping(Py_ssize_t place) {
     const Py_ssize_t nv = joints, size = (Py_ssize_t)knot_numbers.data[0];
     if (place < 0 || place >= knot_at.size / nv) throw nb::index_error("there is no such knot");
-    const double *x = knot_at.data + place * nv, *slope = knot_slope.data + place * nv;
-    const double *curvature = knot_curvature.data + place * nv;
     const double span = knots.data[place * size + (Py_ssize_t)knot_numbers.data[1]];
+    const Arrival to = {knot_at.data + place * nv, knot_slope.data + place * nv, knot_curvature.data + place * nv, span};
     double *way = next.data();
-    for (Py_ssize_t j = 0; j < nv; j++) way[j] = BENT_WAY * fabs((0.5 * span * curvature[j] - slope[j]) * span);
-    survey_now(&survey, x, measured);
-    follow(x);
-    if (left_at(&survey, x) < most_of_two(&survey, survey.weights.data(), way)) survey_anew(&survey, x, measured);
-    std::optional<std::vector<Py_ssize_t>> found;
-    if (most_of_two(&survey, survey.weights.data(), way) <= left_at(&survey, x)) {
-        found.emplace();
+    for (Py_ssize_t j = 0; j < nv; j++) way[j] = BENT_WAY * fabs((0.5 * span * to.curvature[j] - to.slope[j]) * span);
+    survey_now(&survey, to.x, measured);
+    follow(to.x);
+    if (left_at(&survey, to.x) < most_of_two(&survey, survey.weights.data(), way)) survey_anew(&survey, to.x, measured);
+    Py_ssize_t found = -1;
+    if (most_of_two(&survey, survey.weights.data(), way) <= left_at(&survey, to.x)) {
+        found = -2;
         for (const Py_ssize_t k : survey.close) {
             const double least = taken(&survey, k, way);
-            if (bounded(k, x, maximum(set.evades, least), SHARP) < least) found->push_back(k);
+            if (bounded(k, to.x, maximum(set.evades, least), SHARP) < least && crosses(k, to, least)) {
+                found = k;
+                break;
+            }
         }
     }
     slack.data[0] = -1.0; /* every knot is looked at: from it the next one is prepared */
-    for (Py_ssize_t j = 0; j < nv; j++) coming[(size_t)j] = slope[j] * span;
+    for (Py_ssize_t j = 0; j < nv; j++) coming[(size_t)j] = to.slope[j] * span;
     job = IDLE;
     return found;
 }

@@ -109,8 +109,8 @@ public:
     bool clear(bool blind);
     /* Raise lower bounds where the command leads closer than rows say; whether it does. */
     bool tightened();
-    /* Pairs that may be inside their margin between the knot before and the one at a place; none if that is not known. */
-    std::optional<std::vector<Py_ssize_t>> doubtful(Py_ssize_t place);
+    /* The pair that stops the object between the knot before and the one at a place, -2 for none, -1 if that is not known. */
+    Py_ssize_t stopping(Py_ssize_t place);
     /* Look at all pairs where the joints start, before the first step. */
     void prepare();
     /* A piece of work ahead of need, if there is any; whether there was. */
@@ -123,6 +123,13 @@ public:
     double bound(const In &x, Py_ssize_t pair);
 
 private:
+    struct Arrival { /* at a knot, a time after the one before */
+        const double *x, *slope, *curvature;
+        double span;
+    };
+    struct Sample {
+        double back, clearance;
+    };
     enum Job { IDLE, ASKING, DONE }; /* work that is spread: none, pairs are looked at, all is done */
 
     struct Measured {
@@ -145,6 +152,10 @@ private:
     double used_at(const double *x);
     bool look_for_certificate();
     bool look_for_knot();
+    double clearance_at(Py_ssize_t k, const double *x, double enough);
+    double clearance_before(Py_ssize_t k, const Arrival &to, double back, double enough);
+    bool falls_below(Py_ssize_t k, const Arrival &to, double least, Sample late, Sample early, double way);
+    bool crosses(Py_ssize_t k, const Arrival &to, double way);
     double least_speed_of(double spare) const;
 
     Settings set;

@@ -63,7 +63,7 @@ static double cap_on_horizon(Core *c, double clock, double dt, int *cause) {
     return rate;
 }
 
-static void preview_try(Core *c, double clock, int kept, int later) {
+static void preview_try(Core *c, double clock, int kept) {
     take_grasps(c);
     swap_grasps(c);
     const int head = kept ? place_of(c, kept) : 0;
@@ -72,12 +72,33 @@ static void preview_try(Core *c, double clock, int kept, int later) {
     c->ahead->free_until = -INFINITY;
     c->ahead->begin_at = INFINITY;
     if (first_knot(c, clock)) push_knot(c);
+    swap_grasps(c);
+}
+
+static int preview_grow(Core *c, double clock, double rate, int *steps) {
+    const double dt = c->options->nominal_dt, begun = c->ahead->count;
+    int open = begun > 0.0, failed = 0;
+    c->asked = 0;
+    swap_grasps(c);
+    for (; open && *steps > 0; --*steps) {
+        open = c->ahead->complete == 0.0 && !reaches(c, clock, dt);
+        if (!open || (c->ahead->count > begun && c->ahead->fresh == 0.0)) break; /* K has been found anew */
+        const int grown = work_ahead(c);
+        if (grown < 0) hold_blind(c);
+        open = grown > 0;
+    }
+    if (open) failed = !may_admit(c, clock, dt, rate);
+    swap_grasps(c);
+    return failed ? -1 : open && *steps > 0;
+}
+
+static void preview_reset(Core *c, double clock, int later) {
+    preview_try(c, clock, 0);
+    swap_grasps(c);
     if (c->ahead->count > 0.0 && !later)
         extend_horizon(c, clock, c->options->nominal_dt, NEWTON_STEPS_AT_START, INFINITY);
     swap_grasps(c);
 }
-
-static void preview_reset(Core *c, double clock, int later) { preview_try(c, clock, 0, later); }
 
 static double cap_ahead(Core *c, double clock, double dt) {
     Ahead *a = c->ahead;

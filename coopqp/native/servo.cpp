@@ -3,6 +3,9 @@
 
 #include "functions.h"
 
+/* A rate that falls by more does not only fall by rounding. */
+#define SURELY_LESS 1e-6
+
 /* Start of a way, and its unknowns. */
 struct Way {
     Pose T;              /* in motion */
@@ -103,18 +106,47 @@ static int jumps(const Core *c, const double *velocity) {
     return 0;
 }
 
+/* Whether joints forbid the first step a rate, however far the object may be seen to go on; with some knots known. */
+static int forbidden(Core *c, double rate) {
+    const double clock = c->loop->clock;
+    /* The cap says how fast corrections are, and how far the step looks along the path where its twist jumps. */
+    if (c->loop->correcting != 0.0 || next_breakpoint(c, clock) <= clock + c->options->nominal_dt) return 0;
+    observe(c, nullptr, nullptr);
+    c->given_rows = 0, c->proposal->cap = rate, c->proposal->keep = 1.0;
+    return propose_capped(c) == RAY && c->proposal->new_rate < rate - SURELY_LESS;
+}
+
+/* The first step, with rows of constraints: as many as are in place, or where they are negative those that the memory
+ * makes where they may bind. 1 if it is answered, 0 if not; −1 where constraints fail. */
+static int first_step(Core *c, int rows) {
+    observe(c, nullptr, nullptr);
+    c->given_rows = std::max(rows, 0);
+    if (!(propose(c) < FILLED)) return 0;
+    if (rows >= 0 || quiet_step(c) || c->ask(c, ASK_CLEAR) == 1) return 1;
+    const long found = c->ask(c, ASK_ROWS);
+    if (found < 0 || found > most_given(c)) return -1;
+    c->given_rows = (int)found;
+    return answer(c) < FILLED;
+}
+
 /* Try a path from the present clock on at a rate: 1 if its first step keeps to it, and no joint jumps; the joints may force
- * a rate above the cap. Rows of constraints here are in place. What was known ahead stays in the ring. */
+ * a rate above the cap. What was known ahead stays in the ring. −1 where constraints fail. */
 static int admits(Core *c, const double *numbers, double rate, int needed, int rows) {
     const int kept = (int)c->ahead->count + (int)c->ahead->way + 2;
+    const double clock = c->loop->clock, least = needed ? rate : 0.0;
     c->path_numbers = numbers;
     c->loop->rate = rate, c->loop->rate_slope = 0.0;
-    if (c->looks_ahead) preview_try(c, c->loop->clock, kept, 0);
+    if (c->looks_ahead) {
+        preview_try(c, clock, kept);
+        int steps = NEWTON_STEPS_AT_START, more = preview_grow(c, clock, least, &steps);
+        if (more > 0 && needed && forbidden(c, rate)) return 0;
+        while (more > 0) more = preview_grow(c, clock, least, &steps);
+        if (more < 0) return 0;
+    }
     if (!needed) return 1;
-    observe(c, nullptr, nullptr);
-    c->given_rows = rows;
-    const int found = propose(c) < FILLED;
-    return found && fmin(c->proposal->cap, c->proposal->new_rate) >= rate - RATE_TOLERANCE && !jumps(c, c->command);
+    const int found = first_step(c, rows);
+    if (found <= 0) return found;
+    return fmin(c->proposal->cap, c->proposal->new_rate) >= rate - RATE_TOLERANCE && !jumps(c, c->command);
 }
 
 static int go_over(Core *c, const double *goal, double speed, double spin, double full, double *numbers, int rows) {
@@ -136,15 +168,17 @@ static int go_over(Core *c, const double *goal, double speed, double spin, doubl
         if (!way_to(c, &w, clock, segment)) return -1;
         numbers[0] = c->duration, numbers[1] = numbers[2] = 1.0, numbers[3] = clock + segment[19];
         const int taken = admits(c, numbers, rate, !rests, rows);
-        const double quiet_ahead = c->loop->quiet_ahead; /* of the region that is known now */
+        const Loop now_quiet = *c->loop; /* regions that are known now */
         *c->loop = loop;
-        c->loop->quiet_ahead = quiet_ahead;
-        if (taken) {
+        c->loop->quiet_ahead = now_quiet.quiet_ahead;
+        c->loop->quiet_slack = now_quiet.quiet_slack, c->loop->quiet_approach = now_quiet.quiet_approach;
+        if (taken > 0) {
             c->loop->rate = rate, c->loop->rate_slope = 0.0, c->ahead->kept = 0.0;
             return 1;
         }
         *c->ahead = ahead;
         c->path_numbers = present;
+        if (taken < 0) return -1;
     }
     return 0;
 }

@@ -398,12 +398,10 @@ static Outcome answer(Core *c) {
     return outcome;
 }
 
-/* Find the command; returns an outcome. Nothing of the state changes but the preview, which grows. */
-static Outcome propose(Core *c) {
+/* Find the command under a cap; returns an outcome. Nothing of the state changes. */
+static Outcome propose_capped(Core *c) {
     Proposal *p = c->proposal;
     const double h = p->dt, clock = c->loop->clock, rest = c->duration - clock;
-    p->cause.kind = NONE;
-    find_cap(c);
     if (p->late != 0.0) brake_correction(c, p->keep);
     if (rest < h * p->cap) p->cap = rest / h; /* the last step ends at the end */
     /* The mean along the path has to see a corner that the step may reach. */
@@ -428,6 +426,13 @@ static Outcome propose(Core *c) {
     }
     corrections(c, h);
     return answer(c);
+}
+
+/* Find the command; returns an outcome. Nothing of the state changes but the preview, which grows. */
+static Outcome propose(Core *c) {
+    c->proposal->cause.kind = NONE;
+    find_cap(c);
+    return propose_capped(c);
 }
 
 /* The outcome with all further rows, tightened if the command breaks their constraints; ASK where the definition

@@ -12,14 +12,14 @@
 
 /* Objects of Python that a Core holds: callables, empty for none, and what a step is made of. */
 enum Held {
-    OWN_PATH, BOUND_KNOT, EVADE, SURVEY_AHEAD, CLEAR, FURTHER_ROWS, TIGHTENED, SURVEY_HERE, /* put numbers into the memory */
+    OWN_PATH, BOUND_KNOT, STOPPING, EVADE, SURVEY_AHEAD, CLEAR, FURTHER_ROWS, TIGHTENED, SURVEY_HERE, /* put numbers into the memory */
     TELL,                                                                    /* of a step that forces say something of */
     LOOK,                                                                    /* at a step, where that is due */
     STEP_TYPE, CONTEXT, STATUS_NAMES,
     OBJECTS
 };
-static const char *const HELD[OBJECTS] = {"own_path", "bound_knot", "evade", "survey_ahead", "clear", "further_rows",
-                                          "tightened", "survey_here", "tell", "look", "step_type", "context", "status_names"};
+static const char *const HELD[OBJECTS] = {"own_path", "bound_knot", "stopping", "evade", "survey_ahead", "clear",
+                                          "further_rows", "tightened", "survey_here", "tell", "look", "step_type", "context", "status_names"};
 
 struct Field {
     const char *name;
@@ -222,6 +222,18 @@ static int filled_in(Core *c, int which, Args... args) {
     return good;
 }
 
+/* What a knot in a slot is bound to: bodies in memory know what stops the object there, or leave it to the definition. */
+static int bound_knot(Core *c, int slot) {
+    c->knot_asked = 1;
+    if (!bound(c)->objects[STOPPING]) return filled_in(c, BOUND_KNOT, slot);
+    bound(c)->guard(false);
+    const long label = asked(bound(c), STOPPING, false, slot);
+    bound(c)->guard(true);
+    if (label == -1) return filled_in(c, BOUND_KNOT, slot);
+    if (label >= 0) c->knots[slot].limit.joint = (double)label;
+    return label < 0;
+}
+
 /* A call has to end with an interrupt. */
 static void raise_interrupt(BoundCore *self) {
     if (!self->interrupt) return;
@@ -254,7 +266,7 @@ static void bind(BoundCore &self, const nb::kwargs &given) {
     const auto where = [&self](Held held, auto call) { return self.objects[held] ? call : nullptr; };
     self.own_path = where(OWN_PATH, +[](Core *c, double clock, int twist) { return filled_in(c, OWN_PATH, clock, twist); });
     self.evade = where(EVADE, +[](Core *c) { return filled_in(c, EVADE); });
-    self.bound_knot = where(BOUND_KNOT, +[](Core *c, int slot) { return c->knot_asked = 1, filled_in(c, BOUND_KNOT, slot); });
+    self.bound_knot = where(BOUND_KNOT, bound_knot);
     self.survey_ahead = where(SURVEY_AHEAD, +[](Core *c) {
         const int done = filled_in(c, SURVEY_AHEAD);
         return c->surveyed |= done, done;
@@ -400,6 +412,13 @@ static int propose(BoundCore &self, long rows, bool again) {
     return outcome;
 }
 
+/* The outcome for the observed sample: rows of bodies in the memory are asked for where they may bind. */
+static int settle(BoundCore &self) {
+    const Outcome outcome = self.run<&Arithmetic::settle_step>();
+    raise_interrupt(&self);
+    return outcome;
+}
+
 /* Steps without Python in between, to time the core alone; stops where a step is open. Returns how many were done. */
 static Py_ssize_t advance(BoundCore &self, Py_ssize_t steps, const InOrNone &q) {
     Py_ssize_t done = 0;
@@ -539,6 +558,7 @@ void bind_step(nb::module_ &m) {
              [](BoundCore &self) { return self.stepper && self.stepper != PyThread_get_thread_ident(); })
         .def("observe", observe)
         .def("propose", propose)
+        .def("settle", settle)
         .def("read", [](BoundCore &self, double cap) { return self.run<&Arithmetic::read>(cap) != 0; })
         .def("commit", commit)
         .def("advance", advance)

@@ -116,7 +116,7 @@ class Sighted:
     def in_memory(self, memory: Any, *, ahead: bool = False) -> None:
         return None
 
-    def stopping_pair(self, knot: Knot, among: Any = None) -> int:
+    def stopping_pair(self, knot: Knot) -> int:
         return -1
 
     def evaded(self, q: Array, slope: Array) -> Array:

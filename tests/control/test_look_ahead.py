@@ -12,7 +12,9 @@ import pytest
 from runs import preview_of
 from user_paths import OnlyMarked
 
-from coopqp import LimitKind, WaypointPath
+from coopqp import LimitKind, QPController, QPOptions, WaypointPath, plan
+from coopqp.control.lookahead.closed_chain import ClosedChainAhead
+from coopqp.control.lookahead.horizon import Horizon
 from coopqp.control.lookahead.preview import PathPreview
 from coopqp.model.chain import Chain
 from coopqp.model.inverse_kinematics import newton
@@ -361,3 +363,25 @@ def test_a_corner_into_a_rest_is_passed_as_slowly_as_joints_can_stop() -> None:
     slope = pin.difference(task.cell.model, before, q) / h
     assert corner.cap == pytest.approx(1.0 / float((np.abs(slope) / preview._plan.jump).max()) ** 2, rel=1e-3)
     assert 0.0 < corner.cap < 0.1
+
+
+def test_nearly_every_knot_of_a_plan_takes_one_newton_step(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The joints are expected as q′ and q″ go on. As q″ stood in the last interval it took two of nearly every knot."""
+    task = paper_lift()
+    cell = task.cell.with_limits(acceleration=5.0)
+    planned = plan(cell, task.grasp, task.path, q_start=task.q_start).path
+    controller = QPController(cell, task.grasp, planned, dt=DT, options=QPOptions(kernel="plain"))
+    done = {"steps": 0, "knots": 0}
+    for kind, name, key in ((ClosedChainAhead, "_newton_step", "steps"), (Horizon, "push", "knots")):
+        own = getattr(kind, name)
+
+        def counted(*arguments: Any, own: Any = own, key: str = key, **more: Any) -> Any:
+            done[key] += 1
+            return own(*arguments, **more)
+
+        monkeypatch.setattr(kind, name, counted)
+    controller.reset(task.q_start)
+    for _ in range(200):
+        controller.step()
+    assert done["knots"] > 20
+    assert done["steps"] < 1.3 * done["knots"]

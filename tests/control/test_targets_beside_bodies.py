@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 import pytest
 
 from coopqp import Clearance, CollisionScene, QPController, Rank
+from coopqp.constraints.rate import Knot
+from coopqp.model import CellState
 from coopqp.native import available_kernels
 from coopqp.scenarios import elbow_and_knob, plate_and_post
 from coopqp.spatial import Array
@@ -63,3 +66,96 @@ def test_the_core_takes_the_ways_that_the_definition_takes(
     by_definition, waited = _commands(make, 1, rows=rows)
     assert waits == waited
     np.testing.assert_allclose(q, by_definition, atol=1e-8)
+
+
+def _by_hand(
+    make: Any, seed: int, watch: Callable[[QPController, Clearance], None], *, steps: int = 160
+) -> tuple[QPController, Clearance]:
+    """A run by hand beside a body, from where ``watch`` is called on."""
+    task, rng = make(), np.random.default_rng(seed)
+    cell = task.cell.with_limits(acceleration=5.0)
+    clearance = Clearance(CollisionScene.of(task, cell=cell, margin=0.02))
+    controller = QPController(cell, task.grasp, task.path, dt=0.004, constraints=[clearance])
+    controller.reset(task.q_start)
+    watch(controller, clearance)
+    twist = rng.normal(size=6) * np.repeat([0.2, 0.3], 3)
+    for i in range(steps):
+        if i % 8 == 0:
+            controller.jog(twist, frame="world")
+        controller.step()
+    return controller, clearance
+
+
+@pytest.mark.skipif("compiled" not in available_kernels(), reason="it compares kernels")
+@pytest.mark.parametrize(("make", "seed", "stops"), [(plate_and_post, 4, True), (elbow_and_knob, 5, False)])
+def test_the_core_stops_the_object_at_the_knots_where_the_definition_does(make: Any, seed: int, stops: bool) -> None:
+    said: list[tuple[bool, bool]] = []
+
+    def watch(controller: QPController, clearance: Clearance) -> None:
+        definition, core, loop = Clearance(clearance.scene), clearance._native[1].stopping, controller._loop
+        definition.check(controller.commanded)
+        nv = loop.cell.nv
+
+        def both(slot: int) -> int:
+            found, numbers = core(slot), loop._memory.knots[slot]
+            x, slope, curvature = (
+                loop.at[f"knot_{name}"][nv * slot : nv * slot + nv].copy()
+                for name in ("positions", "slope", "curvature")
+            )
+            state = CellState(loop.cell, loop.cell.configuration(x))
+            label = definition.stopping_pair(Knot(numbers.clock, state, slope, curvature, numbers.span))
+            said.append((found >= 0, label >= 0))
+            assert found != -1
+            return found
+
+        loop._core.bind(stopping=both)
+
+    _by_hand(make, seed, watch)
+    core, definition = np.array(said).T
+    np.testing.assert_array_equal(core, definition)
+    assert core.any() == stops
+    assert not core.all()
+
+
+@pytest.mark.core
+@pytest.mark.skipif("compiled" not in available_kernels(), reason="there is no compiler here")
+def test_by_hand_the_core_asks_for_the_rows_of_bodies_itself(monkeypatch: pytest.MonkeyPatch) -> None:
+    asked: list[Any] = []
+    own = Clearance.rows_by_label
+
+    def counted(clearance: Clearance, *arguments: Any, **more: Any) -> Any:
+        asked.append(arguments)
+        return own(clearance, *arguments, **more)
+
+    monkeypatch.setattr(Clearance, "rows_by_label", counted)
+    controller, clearance = _by_hand(plate_and_post, 4, lambda *_: asked.clear())
+    assert controller.kernel == "compiled"
+    assert clearance.passes > 0  # rows were asked for
+    assert not asked
+
+
+@pytest.mark.core
+@pytest.mark.skipif("compiled" not in available_kernels(), reason="there is no compiler here")
+def test_a_command_that_joints_forbid_looks_at_few_knots() -> None:
+    knots: list[int] = []
+
+    def watch(controller: QPController, clearance: Clearance) -> None:
+        core, jog = clearance._native[1].stopping, controller.jog
+        asked = [0]
+
+        def counted(slot: int) -> int:
+            asked[0] += 1
+            return core(slot)
+
+        def jogs(*arguments: Any, **more: Any) -> None:
+            asked[0] = 0
+            jog(*arguments, **more)
+            if controller._operator.wanted is not None:
+                knots.append(asked[0])
+
+        controller._loop._core.bind(stopping=counted)
+        controller.jog = jogs  # type: ignore[method-assign]
+
+    _by_hand(plate_and_post, 2, watch, steps=400)
+    assert len(knots) > 10
+    assert np.median(knots) <= 8  # 6; the horizon would take some thirty for each of two tries

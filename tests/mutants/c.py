@@ -37,9 +37,8 @@ _DECLARES = re.compile(
 )
 #: Files that are compiled by themselves; they include the others.
 SOURCES = (
-    "binding.cpp", "step_binding.cpp", "kinematics_binding.cpp", "distances_binding.cpp", "nearby.cpp", "edges.cpp",
-    "unit.cpp",
-    "values.cpp",
+    "binding.cpp", "step_binding.cpp", "kinematics_binding.cpp", "distances_binding.cpp", "nearby.cpp", "evasion.cpp",
+    "edges.cpp", "unit.cpp", "values.cpp",
 )  # fmt: skip
 
 

@@ -107,7 +107,8 @@ class CompiledLoop:
         self._no_rows = no_rows(cell.nv)
         self._nan = np.full(cell.nq, math.nan)
         self._further = self._no_rows
-        self._doubtful: Callable[[int], list[int] | None] | None = None
+        #: Bodies stand in the core's memory, which asks for their rows and for what stops the object itself.
+        self._knows_bodies = False
         self._surveys_ahead: Callable[[], bool] = bool  # nothing is to be looked at
         self._evades: Callable[[], bool] | None = self._evade if constraints.evades else None
         if constraints:
@@ -117,9 +118,9 @@ class CompiledLoop:
             rows = self._certified.in_memory(self._memory.of_rows())
             ahead = None if rows is None else self._certified.in_memory(self._memory.of_rows(), ahead=True)
             if rows is not None and ahead is not None:
-                self._doubtful, self._surveys_ahead, self._evades = ahead.doubtful, ahead.surveys, ahead.evade
+                self._knows_bodies, self._surveys_ahead, self._evades = True, ahead.surveys, ahead.evade
                 self._core.bind(clear=rows.clear, further_rows=rows.rows, tightened=rows.tightened)
-                self._core.bind(survey_here=rows.surveys, survey_ahead=ahead.surveys)
+                self._core.bind(survey_here=rows.surveys, survey_ahead=ahead.surveys, stopping=ahead.stopping)
         self.step = self._core.step
         self.hold, self.release = self._core.hold, self._core.release
         self.steps_here, self.steps_elsewhere = self._core.steps_here, self._core.steps_elsewhere
@@ -272,9 +273,14 @@ class CompiledLoop:
         return None if taken < 0 else taken > 0
 
     def _rows_here(self) -> int | None:
-        """Put the rows of the constraints for a step from here into the core's memory; None if one fails."""
+        """Put the rows of the constraints for a step from here into the core's memory; None if one fails.
+
+        -1 where the core asks for them itself.
+        """
         if not self.constraints.velocity or self._loop.rate == 0.0:
             return 0
+        if self._knows_bodies:
+            return -1
         kept = layout.Loop.from_buffer_copy(self._loop)
         self._core.observe(None, None)
         rows = self._put_rows()
@@ -368,9 +374,6 @@ class CompiledLoop:
 
         A constraint that fails makes the cap NaN.
         """
-        doubtful = None if self._doubtful is None else self._doubtful(slot)
-        if doubtful is not None and not doubtful:
-            return True
         at, nv, numbers = self.at, self.cell.nv, self._memory.knots[slot]
         vectors = slice(nv * slot, nv * slot + nv)
         q = self.cell.configuration_of(at["knot_positions"][vectors])
@@ -379,8 +382,8 @@ class CompiledLoop:
         share = 1.0 if preview is None else preview.curvature_share
         knot = Knot(numbers.clock, CellState(self.cell, q), slope, curvature, numbers.span)
         try:
-            found = self.constraints.bound(knot, self.dt, share, doubtful)
-            if self._certified is not None and doubtful is None:
+            found = self.constraints.bound(knot, self.dt, share)
+            if self._certified is not None:
                 quiet = self._certified.quiet_ahead
                 at["quiet_ahead_centre"][:], at["quiet_ahead_reach"][:] = quiet.centre, quiet.reach
                 self._loop.quiet_ahead = quiet.slack
@@ -415,7 +418,8 @@ class CompiledLoop:
         self._core.observe(measured, dt)
         if before is not None:
             self._take_contact(*before)
-        outcome = self._core.propose(self._put_rows(), False)
+        self._further = self._no_rows
+        outcome = self._core.settle() if self._knows_bodies else self._core.propose(self._put_rows(), False)
         return self.finish(outcome)
 
     @property

@@ -164,11 +164,12 @@ class ClosedChainAhead:
         return self._constrained(knot)
 
     def _expected(self, last: GridPoint, h: float) -> Array:
-        """The joints' way (nv,) in ``h`` after a knot: along its slope, or with the elbows that lead them."""
+        """The joints' way (nv,) in ``h`` after a knot: as q′ and q″ go on, or with the elbows that lead them."""
         elbows = self._path.elbows
         if not self.led or elbows is None:
-            bend = 0.0 * last.curvature if last.corner else last.curvature
-            way: Array = (bend * (0.5 * h) + last.slope) * h
+            bends = 0.0 if last.corner else 0.5 * h
+            more = bends * (0.5 * last.span + h / 3.0)
+            way: Array = (last.curvature * bends + last.bending * more + last.slope) * h
             return way
         before, after = elbows.at(last.clock)[0], elbows.at(last.clock + h)[0]
         away = pin.difference(self._cell.model, last.q, self._cell.configuration_of(before))
@@ -287,6 +288,9 @@ class ClosedChainAhead:
         steps_to_end = np.abs(to_reach_end) / self._plan.room[self._moving]
         before, span = (slope, 1.0) if last is None else (last.slope, clock - last.clock)
         speed, curvature = np.abs(slope), (slope - before) / span
+        bending = np.zeros_like(slope)
+        if last is not None and last.span > 0.0 and not last.corner:
+            bending = 2.0 / (span + last.span) * (curvature - last.curvature)
         bend = np.abs(curvature)
         # Use of each joint's limits at full rate: z is at most 1 over the speed's square, and 1 over the curvature's.
         use_speed, use_bend = speed / self._plan.speed, bend / (self._options.curvature_share * self._plan.acceleration)
@@ -303,6 +307,7 @@ class ClosedChainAhead:
             q=q,
             slope=slope,
             curvature=curvature,
+            bending=bending,
             span=0.0 if last is None else span,
             cap=cap,
             uncapped=1.0 / max(by_speed, by_bend, 1.0),

@@ -25,6 +25,7 @@ class GridPoint(NamedTuple):
     q: Array
     slope: Array  # q′ (nv,)
     curvature: Array  # mean of q″ (nv,) since the knot before
+    bending: Array  # its change per second since the interval before (nv,); zeros where there is none
     span: float  # since the knot before [s]; 0 where there is none, or the knot is the same one again
     cap: float  # largest σ² here, whatever is ahead
     uncapped: float  # bound of σ² that speed and curvature would make, whether speed makes the cap or not

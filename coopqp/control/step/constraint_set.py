@@ -228,21 +228,20 @@ class Constraints:
                 raise ConstraintTrouble(f"constraint {self.names[i]}{trouble}") from trouble
         return lines
 
-    def bound(self, knot: Knot, dt: float, curvature_share: float, among: Sequence[int] | None = None) -> Bound:
+    def bound(self, knot: Knot, dt: float, curvature_share: float) -> Bound:
         """The rate that the constraints allow at a knot.
 
         Args:
             knot: the knot.
             dt: nominal length of a step [s].
             curvature_share: share of a bound that curvature may take.
-            among: labels of a certified constraint of which one may bind; None if all may.
 
         Raises:
             ConstraintTrouble: as for :meth:`rows`.
         """
         cap, decrease, rise, which = np.inf, np.inf, np.inf, -1
         for i, constraint in self._certified:
-            label = constraint.stopping_pair(knot) if among is None else constraint.stopping_pair(knot, among)
+            label = constraint.stopping_pair(knot)
             if label >= 0:
                 return Bound(-1.0, np.inf, np.inf, self._first[i] + label)
         rows = self._joined(self._uncertified_rows(knot.state, dt))

@@ -1,0 +1,86 @@
+/* Self-motion of redundant arms that keeps rows of distances: Evasion of nearby.h. */
+
+#include <math.h>
+
+#include "core.h"
+#include "nearby.h"
+
+void Evasion::add(const std::vector<double> &G, double lacks) {
+    rows.insert(rows.end(), G.begin(), G.end());
+    missing.push_back(lacks);
+}
+
+/* An orthonormal basis of what no column of A (n, 6) has a share in, by Householder's reflections: the last columns of Q. */
+static void find_null_space(double (&A)[6][MOST_JOINTS], int n, double (&Z)[MOST_JOINTS][MOST_JOINTS]) {
+    double scale[6];
+    for (int k = 0; k < 6; k++) { /* each column becomes the vector of its reflection */
+        double square = 0.0;
+        for (int i = k; i < n; i++) square += A[k][i] * A[k][i];
+        const double size = sqrt(square), own = square + fabs(A[k][k]) * size; /* half of the vector's square */
+        A[k][k] += copysign(size, A[k][k]);
+        scale[k] = own > 0.0 ? 1.0 / own : 0.0;
+        for (int m = k + 1; m < 6; m++) {
+            double along = 0.0;
+            for (int i = k; i < n; i++) along += A[k][i] * A[m][i];
+            along *= scale[k];
+            for (int i = k; i < n; i++) A[m][i] -= along * A[k][i];
+        }
+    }
+    for (int z = 0; z < n - 6; z++) {
+        for (int i = 0; i < n; i++) Z[z][i] = i == 6 + z;
+        for (int k = 5; k >= 0; k--) {
+            double along = 0.0;
+            for (int i = k; i < n; i++) along += A[k][i] * Z[z][i];
+            along *= scale[k];
+            for (int i = k; i < n; i++) Z[z][i] -= along * A[k][i];
+        }
+    }
+}
+
+/* An orthonormal basis of each redundant arm's self-motion, in units of its joints' speeds. */
+void Evasion::find_basis(Shapes &shapes, const In &arm, const In &speeds) {
+    const Py_ssize_t nv = arm.size;
+    Py_ssize_t all = 0;
+    basis.setZero(nv, nv);
+    for (Py_ssize_t begin = 0, end; begin < nv; begin = end) {
+        for (end = begin; end < nv && arm.data[end] == arm.data[begin];) end++;
+        const Py_ssize_t n = end - begin;
+        if (n <= 6 || n > MOST_JOINTS) continue;
+        double scale[MOST_JOINTS], tool[6][MOST_JOINTS], still[MOST_JOINTS][MOST_JOINTS];
+        for (Py_ssize_t i = 0; i < n; i++) {
+            scale[i] = speeds.data[begin + i] < FASTEST_JOINT ? speeds.data[begin + i] : 1.0;
+            const Vector6 &moved = shapes.twist((size_t)(begin + i)); /* what each joint does to the tool */
+            for (int k = 0; k < 6; k++) tool[k][i] = scale[i] * moved[k];
+        }
+        find_null_space(tool, (int)n, still);
+        for (Py_ssize_t z = 0; z < n - 6; z++, all++)
+            for (Py_ssize_t i = 0; i < n; i++) basis(begin + i, all) = scale[i] * still[z][i];
+    }
+    basis.conservativeResize(nv, all);
+}
+
+/* min |z|² + |s|² with G (q′ + N z) + s / YIELDS >= lower: of rows that self-motion changes, with unit norm. */
+void Evasion::move(Shapes &shapes, const In &arm, const In &speeds, double *slope) {
+    using Rows = Eigen::Matrix<double, Eigen::Dynamic, Eigen::Dynamic, Eigen::RowMajor>;
+    find_basis(shapes, arm, speeds);
+    const Py_ssize_t motions = basis.cols(), all = (Py_ssize_t)missing.size();
+    const Rows turned = Eigen::Map<const Rows>(rows.data(), all, arm.size) * basis;
+    std::vector<Py_ssize_t> helping;
+    for (Py_ssize_t i = 0; i < all && motions; i++)
+        if (turned.row(i).cwiseAbs().maxCoeff() > HELPS) helping.push_back(i);
+    const Py_ssize_t m = (Py_ssize_t)helping.size(), n = m + motions;
+    if (!m) return;
+    Rows A = Rows::Zero(m, n);
+    Eigen::VectorXd low(m), x(n), y(m + n), work(2 * n * (n + 3));
+    for (Py_ssize_t i = 0; i < m; i++) {
+        const auto row = turned.row(helping[(size_t)i]);
+        const double per = 1.0 / sqrt(row.squaredNorm() + 1.0 / (YIELDS * YIELDS));
+        A.row(i).head(motions) = per * row;
+        A(i, motions + i) = per / YIELDS, low[i] = per * missing[(size_t)helping[(size_t)i]];
+    }
+    const Eigen::VectorXd ub = Eigen::VectorXd::Constant(m + n, INFINITY), lb = -ub;
+    if (best()->least_distance((int)n, (int)m, A.data(), low.data(), ub.data(), lb.data(), ub.data(), INFINITY, x.data(),
+                               y.data(), work.data()) < 0)
+        return;
+    Eigen::Map<Eigen::VectorXd>(slope, arm.size) += basis * x.head(motions);
+}
