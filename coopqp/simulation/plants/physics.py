@@ -100,7 +100,6 @@ class PhysicsPlant:
         require_mujoco()
         require(grasp, Grasp, "PhysicsPlant: grasp", "Give a Grasp of the placements.")
         grasp.check_arms(cell)
-        cell.refuse_shared("PhysicsPlant")
         self.cell, self.grasp = cell, grasp
         self.options = as_options(PhysicsOptions, options, "PhysicsPlant: options")
         self.disturbances = as_options(Disturbances, disturbances, "PhysicsPlant: disturbances")
@@ -139,10 +138,7 @@ class PhysicsPlant:
             T_object_body=self.T_object_body,
             servos=servos,
             options=self.options,
-            base_offset={
-                cell.arm_names[cell.index(k)]: as_placement(T, "base_offset")
-                for k, T in self.disturbances.base_offset.items()
-            },
+            base_offset=self.disturbances.base_offsets(cell),
             palms=None if self.palms is None else dict(zip(cell.arm_names, self.palms, strict=True)),
         )
         self._engine = MujocoCell(self._spec, cell, welded=self.palms is None)
