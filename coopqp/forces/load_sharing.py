@@ -38,7 +38,7 @@ from coopqp.forces.cones import Cone, Cones
 from coopqp.forces.grips import Grip
 from coopqp.forces.shared_load import SharedLoad
 from coopqp.model.cell import RobotCell
-from coopqp.model.chain import moving_columns, part_columns, parts
+from coopqp.model.chain import part_columns, parts
 from coopqp.model.grasp import Grasp
 from coopqp.model.limits import BindingLimit, LimitKind
 from coopqp.model.state import CellState
@@ -233,9 +233,8 @@ class LoadShare:
     def _jacobians(self, state: CellState) -> Array:
         """J of each tool in its own axes (N, 6, nv), 0 for joints that do not move it."""
         out = np.zeros((len(self.cell), 6, self.cell.nv))
-        for k, moving in enumerate(moving_columns(self.cell)):
-            own = np.isin(self.cell.columns[k], moving)
-            out[k][:, self.cell.columns[k][own]] = state.jacobian(k)[:, own]
+        for k, columns in enumerate(self.cell.columns):
+            out[k][:, columns] = state.jacobian(k)
         return out
 
     def _motion(self, q: Any, V: Array, a: Array, v: Array | None, dv: Array | None) -> _Motion:

@@ -223,7 +223,7 @@ class PhysicsPlant:
             u = TimeLaw.QUINTIC.value_at((i + 1) / n)  # half the steps to move, half to rest
             self._command(x + u * way, still, None, torque + u * (self._torque - torque))
             self._step(h)
-        self._targets.reset(measured if n else start)
+        self._targets.reset(measured if n else start, self.positions)
         self._velocity = np.zeros(self.cell.nv)
         return measured
 
