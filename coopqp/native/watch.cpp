@@ -453,14 +453,18 @@ static int deflect(Core *c, const double *positions, double dt, double *velocity
     const Options *o = c->options;
     const double fresh = dt / (o->filter_time + dt), known = c->watch->has_commanded;
     double fastest = 0.0;
-    for (int k = 0; k < c->arms; k++)
-        for (int i = leads_group(c, k) ? 0 : shared_before(c, k); i < joints_behind(c, k); i++) {
-            const int j = joint_behind(c, k, i);
-            velocity[j] = known != 0.0 ? (c->positions[j] - c->commanded[j]) / dt : 0.0;
-            const double off = c->positions[j] - positions[j] - o->servo_delay * velocity[j];
-            c->deflection[j] += fresh * (off - c->deflection[j]);
-            fastest = fabs(velocity[j]) > fastest ? fabs(velocity[j]) : fastest;
-        }
+    const auto bend = [&](int j) {
+        velocity[j] = known != 0.0 ? (c->positions[j] - c->commanded[j]) / dt : 0.0;
+        const double off = c->positions[j] - positions[j] - o->servo_delay * velocity[j];
+        c->deflection[j] += fresh * (off - c->deflection[j]);
+        fastest = fabs(velocity[j]) > fastest ? fabs(velocity[j]) : fastest;
+    };
+    for (int k = 0; k < c->arms; k++) {
+        const auto [start, n] = joints_of(c, k);
+        for (int j = start; j < start + n; j++) bend(j);
+    }
+    for (int g = 0; g < c->groups; g++)
+        for (int i = 0; i < c->group[g].shared; i++) bend(c->group[g].joint[i]);
     c->commanded = c->positions;
     c->watch->has_commanded = 1.0;
     return fastest <= AT_REST;
