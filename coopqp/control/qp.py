@@ -240,14 +240,10 @@ class QPController(OperatorCalls):
             warnings.warn("; ".join(warned), StartWarning, stacklevel=3)
         unknown = o.supervision.stiffness is None and not self._minded and len(self.cell) > 1
         if unknown and (commanded is not None or np.ndim(given) > 1):
-            remedy = (
-                "No stiffness is taken where arms share joints: let their drivers tell what the servos track"
-                if self.cell.groups
-                else "Tell the servos' stiffness: QPOptions(supervision=SupervisionOptions(stiffness=…)), in a cell "
-                "file stiffness_nm_per_rad of [[arms]]"
-            )
             warnings.warn(
-                "a rigid grip hides an arm that stops from what is measured: the others drag it along. " + remedy,
+                "a rigid grip hides an arm that stops from what is measured: the others drag it along. Tell the "
+                "servos' stiffness: QPOptions(supervision=SupervisionOptions(stiffness=…)), in a cell file "
+                "stiffness_nm_per_rad of [[arms]]",
                 StiffnessWarning,
                 stacklevel=3,
             )

@@ -160,12 +160,9 @@ def refusals(controller: Any, robots: tuple[Robot, ...], *, period: float, tells
         and len(cell) > 1
         and any(robot.driver.commands == "position" for robot in robots)
     ):
-        remedy = (
-            "SupervisionOptions(stiffness=…)" if not cell.groups else "drivers that tell it: arms share joints here"
-        )
         said.append(
             "a position servo tells no target, and nothing is told of its stiffness: a rigid grip would hide an arm "
-            f"that stops. Give {remedy}."
+            "that stops. Give SupervisionOptions(stiffness=…)."
         )
     if getattr(getattr(getattr(inner, "options", None), "supervision", None), "servo_delay", 0.0) > 0.0:
         said.append("SupervisionOptions: servo_delay is told: the loop itself aligns measurements. Leave it at 0.")

@@ -16,6 +16,9 @@ stiffness of the grip ``G = C⁻¹ − C⁻¹ Σᵀ (Σ C⁻¹ Σᵀ)⁻¹ Σ C�
 force that is minded decays with T (all of them minded, that is C w_s again). C alone leaves forces that take up to 250
 times as long, where the master keeps its place: its own compliance is missing then.
 
+Joints that arms share give way to the sum of their arms' wrenches: C has blocks beside its diagonal for them, which
+take no part in relaxing forces between these arms alone, ``Σ w_s = 0``.
+
 Along a program the arms that hold the object do this alone, see :mod:`coopqp.forces.holding`.
 
 The loop is 1 / (T s) · exp(−d s). It is damped well if (d + dt) / T is at most 1/2, doubts about the servos included.
@@ -130,6 +133,8 @@ class Relaxation:
         views = self._views = minding_views(self.memory, n)
         self.internal, self.shift, self.silent = views["internal"], views["shift"], views["silent"]
         self.seen, self._yields, self._compliances = views["seen"], views["yields"], views["compliances"]
+        #: Compliances of the arms' own joints, and of those that they share, at the last look.
+        self._own, self._shared = np.zeros((n, 6, 6)), None if not cell.groups else np.zeros((6 * n, 6 * n))
         self._held, self._reference = views["held"], views["reference"]
         self._put_load()
         self._starting = self.memory.copy()
@@ -303,7 +308,7 @@ class Relaxation:
         """
         R = self.look(measured)
         turned = self._chain.twists(pin.difference(self._cell.model, measured, commanded)) @ R
-        off = self.holding.to_object @ self.seen.ravel() - servo_wrenches(self._compliances, turned).ravel()
+        off = self.holding.to_object @ self.seen.ravel() - servo_wrenches(self._own, turned, self._shared).ravel()
         off *= np.repeat(self.holding.holds, 6)
         carried = self._carried(R) if self.options.palms is None else None  # palms do not carry it yet
         load = off.reshape(-1, 6).sum(axis=0) if carried is None else carried
@@ -339,12 +344,19 @@ class Relaxation:
         O, relative = chain.carried(q)[self.holding.first], self.holding.relative
         chain.evaluate(q, about=O.translation)
         R = for_twists(O.rotation)
-        self._compliances[:] = R.T @ chain.compliances(self._soft) @ R
+        C = self._own = R.T @ chain.compliances(self._soft) @ R
+        shared = self._shared = chain.shared_compliance(self._soft, R)
+        if shared is not None:
+            self._compliances[:] = shared.reshape(self._compliances.shape)
+        for k, own in enumerate(C):
+            self._compliances[k, :, k] = own if shared is None else self._compliances[k, :, k] + own
         if self.holding.in_part:
-            self._yields[:] = relative @ yields_in_part(self._compliances, self.holding.felt, self.holding.holds)
-        else:  # relative @ blockdiag(C)
-            for k, own in enumerate(self._compliances):
+            self._yields[:] = relative @ yields_in_part(C, self.holding.felt, self.holding.holds, shared)
+        else:  # relative @ (blockdiag(C) + shared)
+            for k, own in enumerate(C):
                 self._yields[:, 6 * k : 6 * k + 6] = relative[:, 6 * k : 6 * k + 6] @ own
+            if shared is not None:
+                self._yields += relative @ shared
         self.scalars.age = 0.0
         return R
 
@@ -382,7 +394,10 @@ class Relaxation:
     def take_stiffness(self, stiffer: float, arms: Array, q: Array) -> None:
         """Take ρ, and by how much each arm is stiffer than that (N,), at the configuration ``q``."""
         self.scalars.stiffer = self.accepted(stiffer)
-        self._soft = self._softness / np.repeat(arms, [arm.model.nv for arm in self._cell.arms])
+        own = np.ones(self._cell.nv)
+        for columns, much in zip(self._cell.v_slices, arms, strict=True):
+            own[columns] = much
+        self._soft = self._softness / own
         self.look(q)
 
     @staticmethod
@@ -439,17 +454,18 @@ class Relaxation:
         return shift
 
 
-def yields_in_part(compliances: Array, felt: Array, holds: Holds | None = None) -> Array:
+def yields_in_part(compliances: Array, felt: Array, holds: Holds | None = None, shared: Array | None = None) -> Array:
     """Fᵀ (F G Fᵀ)⁺ F (6 N, 6 N), of the compliances C_k (N, 6, 6) and F (6 N, 6 N) of arms that hold (N,), or all.
 
-    See the module.
+    See the module; ``shared`` (6 N, 6 N) is the compliance of joints that arms share, None without any.
     """
     if holds is None or all(holds):
-        G = of_grip(compliances)
+        G = of_grip(compliances, shared)
     else:
         held = np.repeat(holds, 6)
+        both = np.ix_(held, held)
         G = np.zeros_like(felt)
-        G[np.ix_(held, held)] = of_grip(compliances[list(holds)])
+        G[both] = of_grip(compliances[list(holds)], None if shared is None else shared[both])
     return felt.T @ np.linalg.pinv(felt @ G @ felt.T, rcond=_LEAST_PART, hermitian=True) @ felt
 
 

@@ -110,7 +110,6 @@ class ForceController(OperatorCalls):
         refuse_moving_holds(controller.path, "ForceController: controller", _LET_GO)
         self.controller, self.options = controller, options
         self.cell, self.grasp, self.dt = controller.cell, controller.grasp, controller.dt
-        self.cell.refuse_shared("ForceController")
         self._relaxation = Relaxation(
             self.cell, self.grasp, options, dt=controller.dt, shares_of=self._shares_of, kernel=controller.kernel
         )

@@ -22,6 +22,7 @@ import pinocchio as pin
 from coopqp.checks import ArrayLike, as_floats, as_vector, one_each, read_only
 from coopqp.errors import InvalidInputError
 from coopqp.model.cell import RobotCell
+from coopqp.model.chain import parts
 from coopqp.model.grasp import Grasp
 from coopqp.model.state import CellState
 from coopqp.spatial import Array, Placement, as_placement
@@ -104,7 +105,6 @@ class StressModel:
 
     def __init__(self, cell: RobotCell, grasp: Grasp, *, stiffness: Any) -> None:
         grasp.check_arms(cell)
-        cell.refuse_shared("StressModel")
         self.cell, self.grasp = cell, grasp
         self.stiffness = per_joint(stiffness, cell.nv, "StressModel: stiffness")
 
@@ -126,9 +126,22 @@ class StressModel:
         compliances = []
         for k, s in enumerate(self.cell.v_slices):
             A = self._twist_map(state, k, R)
+            if self.cell.groups:
+                A = A[:, np.isin(self.cell.columns[k], self.cell.shared, invert=True)]
             compliances.append((A / self.stiffness[s]) @ A.T)
-        wrenches, settled = _equilibrium(np.array(compliances), errors)
+        wrenches, settled = _equilibrium(np.array(compliances), errors, self._shared_compliance(state, R))
         return InternalStress(wrenches, errors, settled)
+
+    def _shared_compliance(self, state: CellState, R: pin.SE3) -> Array | None:
+        """Compliance of the joints that arms share (6 N, 6 N); None without such joints."""
+        cell = self.cell
+        if not cell.groups:
+            return None
+        A = np.zeros((len(cell), 6, cell.nv))
+        for k, columns in enumerate(cell.columns):
+            A[k][:, columns] = self._twist_map(state, k, R)
+        B = A[:, :, cell.shared].reshape(-1, len(cell.shared))
+        return np.asarray((B / self.stiffness[cell.shared]) @ B.T)
 
     def history(self, q_commands: ArrayLike) -> Array:
         """Wrenches (T, N, 6) along commanded configurations (T, nq), each as in :meth:`estimate`."""
@@ -152,7 +165,7 @@ class StressModel:
 
         Leave the feed-forward torques (gravity of the arms, shares of the load) out of ``torques``; the wrenches then
         exclude them, too. An arm with fewer than six joints shows only the components that its joints feel. For an arm
-        with more joints the result is the least-squares solution.
+        with more joints, and for arms that share some, together, the result is the least-squares solution.
 
         Args:
             q_measured: measured configuration (nq,).
@@ -161,12 +174,15 @@ class StressModel:
         state = CellState(self.cell, q_measured)
         torque = as_vector(torques, self.cell.nv, "StressModel.from_torques: torques")
         R = self.grasp.carried(state)[0]
-        return np.array(
-            [
-                np.linalg.lstsq(self._twist_map(state, k, R).T, torque[s], rcond=1e-9)[0]
-                for k, s in enumerate(self.cell.v_slices)
-            ]
-        )
+        out = np.empty((len(self.cell), 6))
+        for arms in parts(self.cell):
+            joints = np.unique(np.concatenate([self.cell.columns[k] for k in arms]))
+            A = np.zeros((len(joints), len(arms), 6))
+            for i, k in enumerate(arms):
+                A[np.searchsorted(joints, self.cell.columns[k]), i] = self._twist_map(state, k, R).T
+            felt = np.linalg.lstsq(A.reshape(len(joints), -1), torque[joints], rcond=1e-9)[0]
+            out[list(arms)] = felt.reshape(-1, 6)
+        return out
 
     def _twist_map(self, state: CellState, k: int, R: pin.SE3) -> Array:
         """A_k (6, n_k): maps the joint velocities of arm k to the object twist in the frame R."""
@@ -183,19 +199,21 @@ def at_tools(wrenches: ArrayLike, grasp: Grasp) -> Array:
     return np.array([X.action.T @ row for X, row in zip(grasp.T_object_tool, w, strict=True)])
 
 
-def _equilibrium(C: Array, e: Array) -> tuple[Array, Array]:
-    """Wrenches (N, 6) and ō (6,) from compliances (N, 6, 6) and errors (N, 6)."""
+def _equilibrium(C: Array, e: Array, shared: Array | None = None) -> tuple[Array, Array]:
+    """Wrenches (N, 6) and ō (6,) from compliances (N, 6, 6), and of shared joints (6 N, 6 N), and errors (N, 6)."""
     n = len(C)
-    if np.linalg.cond(C).max() < _LARGEST_CONDITION:
+    if shared is None and np.linalg.cond(C).max() < _LARGEST_CONDITION:
         K = np.linalg.inv(C)
         settled = np.linalg.solve(K.sum(axis=0), np.einsum("kij,kj->i", K, e))
         return np.einsum("kij,kj->ki", K, e - settled), settled
-    # An arm is rigid in some direction: solve C_k w_k + ō = e_k, Σ w_k = 0, with the wrenches of least norm.
+    # An arm is rigid in some direction, or arms share joints: solve C w + ō = e, Σ w_k = 0, with the least wrenches.
     unit = float(np.trace(C.sum(axis=0))) / (6 * n)  # scales all entries to one magnitude
     M = np.zeros((6 * n + 6, 6 * n + 6))
+    if shared is not None:
+        M[:-6, :-6] = shared / unit
     for k in range(n):
         rows = slice(6 * k, 6 * k + 6)
-        M[rows, rows] = C[k] / unit
+        M[rows, rows] += C[k] / unit
         M[rows, 6 * n :] = M[6 * n :, rows] = np.eye(6)
     x = np.linalg.lstsq(M, np.concatenate([e.ravel(), np.zeros(6)]), rcond=1e-12)[0]
     return x[: 6 * n].reshape(n, 6) / unit, x[6 * n :]

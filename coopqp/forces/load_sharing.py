@@ -19,6 +19,8 @@ leave no c for f, the largest ``share`` λ with an answer for ``λ f`` is found,
 The split of forces into a moving and an internal part depends on the metric: forces in N, torques over ``length`` in
 N, arms weighted by ``weights``. A cap on the internal part is mandatory: without it torque limits let the arms squeeze
 the object with kilonewtons to carry a little more.
+
+A joint that arms share bears what is behind it, and Bᵀ Σ f of all its arms: no internal force costs it anything.
 """
 
 from __future__ import annotations
@@ -36,6 +38,7 @@ from coopqp.forces.cones import Cone, Cones
 from coopqp.forces.grips import Grip
 from coopqp.forces.shared_load import SharedLoad
 from coopqp.model.cell import RobotCell
+from coopqp.model.chain import part_columns, parts
 from coopqp.model.grasp import Grasp
 from coopqp.model.limits import BindingLimit, LimitKind
 from coopqp.model.state import CellState
@@ -96,7 +99,6 @@ class LoadShare:
         length: float = LENGTH,
     ) -> None:
         grasp.check_arms(cell)
-        cell.refuse_shared("LoadShare")
         require(payload, Payload, "LoadShare: payload", "Give a coopqp.planning.Payload.")
         n = len(cell)
         self.cell, self.grasp, self.payload = cell, grasp, payload
@@ -209,21 +211,31 @@ class LoadShare:
         if not (V.any() or a.any()):
             return v, dv
         to_tool = [X.actionInverse for X in self.grasp.T_object_tool]
-        for k, s in enumerate(cell.v_slices):
-            v[s] = self._least(state, k, to_tool[k] @ V)
+        self._move_least(v, state, np.array([X @ V for X in to_tool]))
         pin.forwardKinematics(cell.model, data, state.q, v, dv)
-        for k, (s, frame) in enumerate(zip(cell.v_slices, cell.tool_frames, strict=True)):
-            bias = pin.getFrameAcceleration(cell.model, data, frame, pin.LOCAL).vector
-            dv[s] = self._least(state, k, to_tool[k] @ a - bias)
+        biases = [pin.getFrameAcceleration(cell.model, data, frame, pin.LOCAL).vector for frame in cell.tool_frames]
+        self._move_least(dv, state, np.array([X @ a - bias for X, bias in zip(to_tool, biases, strict=True)]))
         return v, dv
 
-    def _least(self, state: CellState, k: int, target: Array) -> Array:
-        """Least joint rates (n,), each over its largest speed, with J rates = target."""
-        J, speed = state.jacobian(k), self._speed[self.cell.v_slices[k]]
-        rates: Array = speed * np.linalg.lstsq(J * speed, target, rcond=1e-9)[0]
-        if np.abs(J @ rates - target).max() > _ROUNDING * (1.0 + np.abs(target).max()):
-            raise UnreachableError(f"arm {self.cell.arm_names[k]} cannot move its tool as the object's motion asks.")
-        return rates
+    def _move_least(self, rates: Array, state: CellState, targets: Array) -> None:
+        """Put in the least joint rates (nv,), each over its largest speed, with J_k rates = target_k (N, 6)."""
+        J = self._jacobians(state)
+        for arms, columns in zip(parts(self.cell), part_columns(self.cell), strict=True):
+            own, target = J[list(arms)][:, :, columns].reshape(-1, len(columns)), targets[list(arms)].ravel()
+            speed = self._speed[columns]
+            found: Array = speed * np.linalg.lstsq(own * speed, target, rcond=1e-9)[0]
+            off = np.abs(own @ found - target)
+            if off.max() > _ROUNDING * (1.0 + np.abs(target).max()):
+                name = self.cell.arm_names[arms[int(off.argmax()) // 6]]
+                raise UnreachableError(f"arm {name} cannot move its tool as the object's motion asks.")
+            rates[columns] = found
+
+    def _jacobians(self, state: CellState) -> Array:
+        """J of each tool in its own axes (N, 6, nv), 0 for joints that do not move it."""
+        out = np.zeros((len(self.cell), 6, self.cell.nv))
+        for k, columns in enumerate(self.cell.columns):
+            out[k][:, columns] = state.jacobian(k)
+        return out
 
     def _motion(self, q: Any, V: Array, a: Array, v: Array | None, dv: Array | None) -> _Motion:
         cell = self.cell
@@ -238,8 +250,8 @@ class LoadShare:
     def to_torques(self, state: CellState) -> Array:
         """Map of the grips' components c to joint torques, Jᵀ (nv, nc)."""
         out = np.zeros((self.cell.nv, len(self._scale)))
-        for k, (s, own) in enumerate(zip(self.cell.v_slices, self._own, strict=True)):
-            out[s, own] = state.jacobian(k)[: own.stop - own.start].T
+        for J, own in zip(self._jacobians(state), self._own, strict=True):
+            out[:, own] = J[: own.stop - own.start].T
         return out
 
     # -- sharing -------------------------------------------------------------------------------------------------

@@ -15,6 +15,7 @@ from typing import final
 
 import numpy as np
 
+from coopqp.control.monitoring.stress import whole_compliance
 from coopqp.forces.internal import SHARE_LENGTH
 from coopqp.model.grasp import Grasp
 from coopqp.native.constants import STRUCTURE
@@ -43,31 +44,37 @@ class PressPlan:
     Args:
         grasp: how the arms hold the object.
         compliances: C of each arm's servos at the object frame (N, 6, 6) [m/N …], in its axes.
+        shared: that of joints that arms share (6 N, 6 N); None without any.
 
     Attributes:
         duration: time of all presses, with the rest before and after them [s].
         ends_first: time at which the first, small press is over [s].
     """
 
-    def __init__(self, grasp: Grasp, compliances: Array) -> None:
+    def __init__(self, grasp: Grasp, compliances: Array, shared: Array | None = None) -> None:
         n = len(grasp)
         each = max(2, math.ceil(_FEWEST / n))
         rng = np.random.default_rng(_SEED)
         order = [(k, i) for i in range(each) for k in range(n)]
-        each_ways = [self._ways(grasp, compliances, k, each, rng) for k in range(n)]
+        each_ways = [self._ways(grasp, compliances, shared, k, each, rng) for k in range(n)]
         ways = [each_ways[k][i] for k, i in order]
         self.ways = np.array([FIRST_PRESS * ways[0], *ways])
         self.ends_first = REST_TIME + PRESS_TIME
         self.duration = REST_TIME + PRESS_TIME * len(self.ways) + REST_TIME
 
     @staticmethod
-    def _ways(grasp: Grasp, compliances: Array, arm: int, count: int, rng: np.random.Generator) -> Array:
+    def _ways(
+        grasp: Grasp, compliances: Array, shared: Array | None, arm: int, count: int, rng: np.random.Generator
+    ) -> Array:
         """Motions of all grasps (count, N, 6) for presses of an arm along square directions that may be the largest."""
         turns = np.linalg.qr(rng.normal(size=(_TRIED, 2, 3, 3)))[0][..., np.arange(count) % 3]
         pushes = (turns * np.array([PRESS_FORCE, PRESS_TORQUE])[:, None, None]).reshape(_TRIED, 6, count)
         wrenches = (balancing(grasp, arm) @ pushes).swapaxes(1, 2).reshape(_TRIED, count, -1, 6)
-        yields = compliances @ np.array([X.actionInverse.T for X in grasp.T_object_tool])
-        ways = np.einsum("kij,ntkj->ntki", yields, wrenches)
+        to_object = np.array([X.actionInverse.T for X in grasp.T_object_tool])
+        ways = np.einsum("kij,ntkj->ntki", compliances @ to_object, wrenches)
+        if shared is not None:
+            on_object = np.einsum("kij,ntkj->ntki", to_object, wrenches)
+            ways += (on_object.reshape(-1, len(shared)) @ shared).reshape(ways.shape)
         forces, torques, far = (
             np.linalg.norm(part, axis=3).max(axis=2) for part in (wrenches[..., :3], wrenches[..., 3:], ways[..., :3])
         )
@@ -108,10 +115,19 @@ def _side(within: float) -> float:
     return -(law(left / ramp) if left < ramp else 1.0)
 
 
-def of_grip(compliances: Array) -> Array:
-    """G (6 N, 6 N): wrenches of the arms on the object, in its frame, per motion of their commanded places on it."""
+def of_grip(compliances: Array, shared: Array | None = None) -> Array:
+    """G (6 N, 6 N): wrenches of the arms on the object, in its frame, per motion of their commanded places on it.
+
+    Args:
+        compliances: of each arm's own joints (N, 6, 6).
+        shared: compliance of the joints that arms share (6 N, 6 N); None without such joints.
+    """
+    n = len(compliances)
+    if shared is not None:
+        stiffness = np.linalg.inv(whole_compliance(compliances + STRUCTURE * np.eye(6), shared))
+        all_arms = stiffness.reshape(-1, n, 6).sum(axis=1)  # of motions of all arms by the same
+        return stiffness - all_arms @ np.linalg.solve(all_arms.reshape(n, 6, 6).sum(axis=0), all_arms.T)
     each = np.linalg.inv(compliances + STRUCTURE * np.eye(6))
-    n = len(each)
     out, together = np.zeros((6 * n, 6 * n)), each.reshape(-1, 6)
     for k, own in enumerate(each):
         out[6 * k : 6 * k + 6, 6 * k : 6 * k + 6] = own

@@ -59,12 +59,11 @@ class SensorCheck:
         tolerance: float,
         latest: float,
     ) -> None:
-        cell.refuse_shared("SensorCheck")
         self._cell, self._grasp, self._chain = cell, grasp, Chain(cell, grasp)
         self._softness, self._load, self._tolerance, self._latest = softness, load, tolerance, latest
-        compliances = self._compliances(q)
-        self._plan = PressPlan(grasp, compliances)
-        self._stiffness, self._at_rest = of_grip(compliances), compliances
+        compliances, shared = self._compliances(q)
+        self._plan = PressPlan(grasp, compliances, shared)
+        self._stiffness, self._at_rest, self._shared = of_grip(compliances, shared), compliances, shared
         self._to_object = load_shares(grasp)[0]
         self._to_tools = np.array([X.action.T for X in grasp.T_object_tool])
         self._time, self._scale = 0.0, 0.0
@@ -104,7 +103,7 @@ class SensorCheck:
             return self._plan.shift(self._time, self._scale)
         if self._fit is None:
             heard = np.array(self._times), np.array(self._readings), np.array(self._motions)
-            self._fit = SensorFit(*heard, self._at_rest, self._to_tools)
+            self._fit = SensorFit(*heard, self._at_rest, self._to_tools, self._shared)
         elif self.judgement is None and any(self._fit.go_on() for _ in range(max(int(dt / _PART_TIME), 1))):
             self.judgement = self._judge(self._fit)
         return np.zeros((len(self._cell), 6))
@@ -124,26 +123,26 @@ class SensorCheck:
         other.__setstate__(own | {"_fit": copy.deepcopy(self._fit)})
         return other
 
-    def _compliances(self, q: Array) -> Array:
-        """C of each arm in the object frame (N, 6, 6), at q."""
+    def _compliances(self, q: Array) -> tuple[Array, Array | None]:
+        """C of each arm's own joints (N, 6, 6), and of those that arms share (6 N, 6 N), in the object frame, at q."""
         chain = self._chain
         O = chain.carried(q)[0]
         chain.evaluate(q, about=O.translation)
         R = self._R = for_twists(O.rotation)
-        return R.T @ chain.compliances(self._softness) @ R
+        return R.T @ chain.compliances(self._softness) @ R, chain.shared_compliance(self._softness, R)
 
     def _hear(self, wrenches: Array | None, commanded: Array, measured: Array) -> None:
         n, chain = len(self._cell), self._chain
         O = chain.carried(commanded)
         parted = chain.errors(O, O[0])
         caused = (self._stiffness @ parted.ravel()).reshape(n, 6)
-        compliances = self._compliances(measured)
+        compliances, shared = self._compliances(measured)
         bent = chain.twists(pin.difference(self._cell.model, measured, commanded)) @ self._R
         self._times.append(self._time)
         self._readings.append(np.full((n, 6), np.nan) if wrenches is None else np.array(wrenches))
         self._motions.append(parted)
         self._expected.append(self._at_tools(caused))
-        self._servos.append(self._at_tools(servo_wrenches(compliances, bent)))
+        self._servos.append(self._at_tools(servo_wrenches(compliances, bent, shared)))
 
     def _at_tools(self, wrenches: Array) -> Array:
         return np.array([A @ w for A, w in zip(self._to_tools, wrenches, strict=True)])
@@ -186,7 +185,7 @@ class SensorCheck:
 
         By the readings, and by the presses with the gains that were found, which noise does not hide.
         """
-        G = of_grip(self._at_rest / fit.stiffer[:, None, None])
+        G = of_grip(self._at_rest / fit.stiffer[:, None, None], self._shared)
         motions = np.array(self._motions)
         wrenches = (motions.reshape(len(motions), -1) @ G.T).reshape(motions.shape)
         caused = np.repeat(fit.gains, 3, axis=1) * np.einsum("kij,tkj->tki", self._to_tools, wrenches)

@@ -55,6 +55,7 @@ class SensorFit:
         motions: e, how far the grasps stand from each other as commanded, in the object's axes (T, N, 6) [m, rad].
         compliances: C of each arm's servos at the object frame as told, in its axes (N, 6, 6) [m/N …].
         to_tools: maps of wrenches from the object frame to each tool (N, 6, 6).
+        shared: the compliance of joints that arms share (6 N, 6 N); None without any. Their stiffness is not found.
 
     Attributes:
         arms: index of the arm that each sensor sits at (N,).
@@ -71,9 +72,17 @@ class SensorFit:
         doubts: standard deviation of the axes of each sensor by its noise (N,) [rad].
     """
 
-    def __init__(self, times: Array, readings: Array, motions: Array, compliances: Array, to_tools: Array) -> None:
+    def __init__(
+        self,
+        times: Array,
+        readings: Array,
+        motions: Array,
+        compliances: Array,
+        to_tools: Array,
+        shared: Array | None = None,
+    ) -> None:
         self._count = n = readings.shape[1]
-        self._compliances, self._to_tools = compliances, to_tools
+        self._compliances, self._shared, self._to_tools = compliances, shared, to_tools
         t = times - 0.5 * (times[0] + times[-1])
         self._heard: NDArray[np.bool_] = np.asarray(np.isfinite(readings).all(axis=2))
         self._read = np.where(self._heard[:, :, None], readings, 0.0)
@@ -97,7 +106,9 @@ class SensorFit:
     def _wrenches(self, s: Array) -> Array:
         """Maps from e to the wrenches at the tools (N, 6, 6 N), with stiffness exp(s)."""
         n = self._count
-        return self._to_tools @ of_grip(self._compliances * np.exp(-s)[:, None, None]).reshape(n, 6, 6 * n)
+        return self._to_tools @ of_grip(self._compliances * np.exp(-s)[:, None, None], self._shared).reshape(
+            n, 6, 6 * n
+        )
 
     def _noise(self) -> Array:
         """Noise of forces and torques (N, 2), from second differences of samples in a row."""

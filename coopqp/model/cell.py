@@ -307,6 +307,16 @@ def of_cell(make: Callable[[RobotCell], _T]) -> Callable[[RobotCell], _T]:
     return found
 
 
+@of_cell
+def standing(cell: RobotCell) -> tuple[npt.NDArray[np.intp], ...]:
+    """Per arm, which of its joints do not move its tool, such as a gripper's fingers or the head of a robot."""
+    out = []
+    for columns, tool in zip(cell.columns, cell.tool_joints, strict=True):
+        moving = [cell.model.joints[j].idx_v for j in cell.model.supports[tool] if j]
+        out.append(np.flatnonzero(~np.isin(columns, moving)))
+    return tuple(out)
+
+
 def slides(cell: RobotCell) -> list[bool]:
     """True for each velocity coordinate of a prismatic joint [m], False for a revolute one [rad]."""
     return [joint.shortname().startswith("JointModelP") for joint in list(cell.model.joints)[1:]]

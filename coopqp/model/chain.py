@@ -204,10 +204,28 @@ class Chain:
     def compliances(self, softness: Array) -> Array:
         """``J_k diag(softness) J_kᵀ``, (N, 6, 6): by how much the object gives way to a wrench on arm k.
 
-        ``softness`` (nv,) is the joints' [rad/(N·m) or m/N]; twists and wrenches are in world axes.
+        ``softness`` (nv,) is the joints' [rad/(N·m) or m/N]; twists and wrenches are in world axes. Joints that arms
+        share are left out: see :meth:`shared_compliance`.
         """
+        own = softness
+        if self.cell.groups:
+            own = softness.copy()
+            own[self.cell.shared] = 0.0
         pairs = zip(self.jacobians, self.moving_columns, strict=True)
-        return np.array([(J * softness[columns]) @ J.T for J, columns in pairs])
+        return np.array([(J * own[columns]) @ J.T for J, columns in pairs])
+
+    def shared_compliance(self, softness: Array, R: Array | None = None) -> Array | None:
+        """The same of joints that arms share, (6 N, 6 N): arms k give way to wrenches on arms j; None without any.
+
+        Twists and wrenches are in world axes, or in those of R (6, 6), of twists.
+        """
+        joints = self.cell.shared
+        if not len(joints):
+            return None
+        J = self.dense()[:, joints]
+        if R is not None:
+            J = (R.T @ J.reshape(-1, 6, len(joints))).reshape(J.shape)
+        return np.asarray((J * softness[joints]) @ J.T)
 
     # -- arms with more, and with fewer, than six joints -----------------------------------------------------------
 

@@ -90,7 +90,7 @@ def without_copies(arms: Sequence[Arm]) -> tuple[tuple[Arm, ...], tuple[str, ...
     """The arms with no joint twice.
 
     A joint that does not move the tool of its arm, and is a joint of another arm as well, is locked at zero, or at
-    the nearest position inside its limits. Its links are shown and kept clear of in the other arm alone.
+    the nearest position inside its limits. Its links are shown, weighed and kept clear of in the other arm alone.
 
     Returns:
         The arms, and the names ``arm/joint`` of joints that were locked, but for those that move with another arm of
@@ -232,9 +232,12 @@ def _rest(arm: Arm, joint: _Joint) -> float:
 
 
 def _reduced(arm: Arm, joints: list[_Joint]) -> Arm:
-    """The arm with joints locked, without the shapes that they carry."""
+    """The arm with joints locked, without the shapes and the masses that they carry: the other arm has them."""
     model = pin.Model(arm.model)
     ids = {joint.number for joint in joints}
+    for i in range(1, model.njoints):
+        if ids & set(model.supports[i]):
+            model.inertias[i] = pin.Inertia.Zero()
     q = pin.neutral(model)
     for joint in joints:
         at, own = _rest(arm, joint), model.joints[joint.number]

@@ -11,7 +11,7 @@ import numpy as np
 import pinocchio as pin
 
 from coopqp.checks import read_only
-from coopqp.model.cell import RobotCell
+from coopqp.model.cell import RobotCell, standing
 from coopqp.spatial import Array
 
 _WORKSPACES = threading.local()
@@ -54,10 +54,15 @@ class CellState:
     def jacobian(self, arm: str | int, frame: pin.ReferenceFrame = pin.LOCAL) -> Array:
         """Jacobian J of an arm's tool, shape (6, n): tool twist = J · joint velocities of the arm.
 
+        Joints that do not move the tool have zeros.
+
         ``frame`` selects the frame of the twist: LOCAL (the tool frame), LOCAL_WORLD_ALIGNED, or WORLD.
         """
         k = self.cell.index(arm)
         J, T = self._J[:, self._own(k)], self.T_world_tool[k]
+        if (still := standing(self.cell)[k]).size:
+            J = J.copy()
+            J[:, still] = 0.0
         if frame == pin.WORLD:
             return J.copy()
         seen = T if frame == pin.LOCAL else pin.SE3(np.eye(3), T.translation)

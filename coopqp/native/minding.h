@@ -31,7 +31,7 @@ struct MindingArrays {
     Twists felt, held, off_servos, off_last, off_step, off_drift; /* see residual.cpp */
     double *off_noise;                                       /* N */
     double *holding, *freed;                                 /* N: arms that hold; how fast the others' grasps come back */
-    double *compliances;                                     /* (6, 6) N */
+    double *compliances;                                     /* (6 N, 6 N) */
     Eigen::Map<Eigen::Matrix<double, Eigen::Dynamic, 3, Eigen::RowMajor>> carries; /* (6 N, 3) */
     Square unfed_of;                                         /* (6 N, 6 N) */
     Pose *reference;                                         /* of the object as asked for */
@@ -48,13 +48,13 @@ static inline MindingArrays minding_of(int arms, Minding *m) {
     const auto square = [&] { return MindingArrays::Square(take(n * n), n, n); };
     return {m, take(arms), twists(), twists(), twists(), twists(), twists(), twists(), square(), square(),
             take(PALM * arms), twists(), twists(), twists(), twists(), twists(), twists(), take(arms),
-            take(arms), take(arms), take(6 * n), {take(3 * n), n, 3}, square(), reinterpret_cast<Pose *>(take(12)),
+            take(arms), take(arms), take(n * n), {take(3 * n), n, 3}, square(), reinterpret_cast<Pose *>(take(12)),
             reinterpret_cast<Vector3 *>(take(3)), reinterpret_cast<TravelOf<Vector3> *>(take(9)),
             reinterpret_cast<PushOf<Vector3> *>(take(15))};
 }
 
 /* Numbers of the whole memory. */
-static inline ptrdiff_t minding_size(ptrdiff_t arms) { return (ptrdiff_t)sizeof(Minding) / 8 + 39 + (130 + PALM) * arms + 108 * arms * arms; }
+static inline ptrdiff_t minding_size(ptrdiff_t arms) { return (ptrdiff_t)sizeof(Minding) / 8 + 39 + (94 + PALM) * arms + 144 * arms * arms; }
 
 /* The grasps give way in this step, unless a sensor is silent for too long. */
 static inline int gives_way(const Minding *m) {

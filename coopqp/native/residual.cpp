@@ -14,13 +14,26 @@ static void carry_servos(Core *c, Twists &base) {
     carry_drift(c, f.off_servos, f.off_drift, base);
 }
 
+/* By how much arm k gives way to a wrench on another one: both are the same but for arms that share joints. */
+using ComplianceOf = Eigen::Map<const Matrix6, 0, Eigen::OuterStride<>>;
+static ComplianceOf compliance_of(const Core *c, const MindingArrays &f, int k, int other) {
+    const int n = 6 * c->arms;
+    return ComplianceOf(f.compliances + 6 * k * n + 6 * other, Eigen::OuterStride<>(n));
+}
+
 /* How far each arm is from where its servos should hold it by its wrench: away + C (w − share of the load) / ρ. */
 static void compare_with_servos(const Core *c, const MindingArrays &f, const Twists &away, Twists &off) {
     const Vector3 load = c->pose->R.transpose() * Vector3(f.m->weight_x, f.m->weight_y, f.m->weight_z);
     Twists pushed(c->scratch + 36 * c->arms, 6, c->arms);
     pushed.reshaped() = f.unfed_of.lazyProduct(f.felt.reshaped()) - f.carries.lazyProduct(load);
-    for (int k = 0; k < c->arms; k++)
-        off.col(k) = away.col(k) + Eigen::Map<const Matrix6>(f.compliances + 36 * k) * pushed.col(k) / maximum(f.m->stiffer, SOFTEST);
+    const double stiffer = maximum(f.m->stiffer, SOFTEST);
+    for (int k = 0; k < c->arms; k++) off.col(k) = away.col(k) + compliance_of(c, f, k, k) * pushed.col(k) / stiffer;
+    for (int g = 0; g < c->groups; g++)
+        for (int i = 0; i < c->group[g].arms; i++)
+            for (int j = 0; j < c->group[g].arms; j++) {
+                const int k = c->group[g].arm[i], other = c->group[g].arm[j];
+                if (other != k) off.col(k) += compliance_of(c, f, k, other) * pushed.col(other) / stiffer;
+            }
 }
 
 /* The largest acceleration of a joint as commanded, filtered and remembered for a while; while an arm is suspected, the object slows

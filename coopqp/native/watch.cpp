@@ -382,20 +382,22 @@ static void watch_stall(Core *c, const double *positions, double dt, int rigid, 
 
 /* x of A x = b for a symmetric A of which the lower triangle is read and overwritten by its factors L D Lᵀ; b becomes x.
  * Without a pivot it is not finite. */
-static void solve_symmetric6(Matrix6 &A, Ref6 b) {
-    for (int j = 0; j < 6; j++)
-        for (int i = j + 1; i < 6; i++) {
+template <typename Symmetric, typename Numbers>
+static void solve_symmetric(Symmetric &A, Numbers &&b) {
+    const int n = (int)A.rows();
+    for (int j = 0; j < n; j++)
+        for (int i = j + 1; i < n; i++) {
             const double factor = A(i, j) / A(j, j);
             for (int m = j + 1; m <= i; m++) A(i, m) -= factor * A(m, j);
             b[i] -= factor * b[j];
         }
-    for (int i = 5; i >= 0; i--) {
-        for (int m = i + 1; m < 6; m++) b[i] -= A(m, i) * b[m]; /* columns still carry D */
+    for (int i = n - 1; i >= 0; i--) {
+        for (int m = i + 1; m < n; m++) b[i] -= A(m, i) * b[m]; /* columns still carry D */
         b[i] /= A(i, i);
     }
 }
 
-/* Compliance C_k of an arm's servos at the object, and how its deflection bends it. */
+/* Compliance C_k of the servos of an arm's own joints at the object, and how the deflection of all behind it bends it. */
 static void comply(const Core *c, int k, const Twists &jacobian, Eigen::Map<Matrix6> C, Ref6 bent) {
     const auto [start, n] = joints_of(c, k);
     C.setZero(), bent.setZero();
@@ -404,6 +406,46 @@ static void comply(const Core *c, int k, const Twists &jacobian, Eigen::Map<Matr
         C += c->softness[j] * column * column.transpose();
         bent += c->deflection[j] * column;
     }
+    for (int i = 0; i < shared_before(c, k); i++) bent += c->deflection[joint_behind(c, k, i)] * jacobian.col(joint_behind(c, k, i));
+}
+
+/* Compliance of the joints that the arms of a group share: by it the object gives way to the sum of their wrenches. */
+static Matrix6 comply_together(const Core *c, const Group &g, const Twists &jacobian) {
+    Matrix6 C = Matrix6::Zero();
+    for (int j = 0; j < g.shared; j++) {
+        const Vector6 column = jacobian.col(g.joint[j]);
+        C += c->softness[g.joint[j]] * column * column.transpose();
+    }
+    return C;
+}
+
+/* The wrenches of the servos of a group, from how its arms are bent, in their place. */
+static void push_together(const Core *c, const Group &g, const Twists &jacobian, const double *C, Twists &wrenches) {
+    const Matrix6 shared = comply_together(c, g, jacobian);
+    GroupGram A = GroupGram::Zero(6 * g.arms, 6 * g.arms);
+    GroupTwists bent = GroupTwists::Zero(6 * g.arms);
+    for (int i = 0; i < g.arms; i++) {
+        for (int j = 0; j < g.arms; j++) A.block<6, 6>(6 * i, 6 * j) = shared;
+        A.block<6, 6>(6 * i, 6 * i) += Eigen::Map<const Matrix6>(C + 36 * g.arm[i]);
+        bent.segment<6>(6 * i) = wrenches.col(g.arm[i]);
+    }
+    A.diagonal().array() += STRUCTURE;
+    solve_symmetric(A, bent);
+    for (int i = 0; i < g.arms; i++) wrenches.col(g.arm[i]) = bent.segment<6>(6 * i);
+}
+
+/* The sum of the wrenches of a group from that of all arms, had its shared joints not given way. */
+static Vector6 without_shared(const Core *c, const Group &g, const Twists &jacobian, const double *C, const Vector6 &total) {
+    const Vector6 away = comply_together(c, g, jacobian) * total;
+    Vector6 out = total;
+    for (int i = 0; i < g.arms; i++) {
+        Matrix6 own = Eigen::Map<const Matrix6>(C + 36 * g.arm[i]);
+        own.diagonal().array() += STRUCTURE;
+        Vector6 pushed = away;
+        solve_symmetric(own, pushed);
+        out += pushed;
+    }
+    return out;
 }
 
 /* Filter the deflection of the servos; find the commanded velocity. Returns whether all joints rest. */
@@ -411,15 +453,18 @@ static int deflect(Core *c, const double *positions, double dt, double *velocity
     const Options *o = c->options;
     const double fresh = dt / (o->filter_time + dt), known = c->watch->has_commanded;
     double fastest = 0.0;
+    const auto bend = [&](int j) {
+        velocity[j] = known != 0.0 ? (c->positions[j] - c->commanded[j]) / dt : 0.0;
+        const double off = c->positions[j] - positions[j] - o->servo_delay * velocity[j];
+        c->deflection[j] += fresh * (off - c->deflection[j]);
+        fastest = fabs(velocity[j]) > fastest ? fabs(velocity[j]) : fastest;
+    };
     for (int k = 0; k < c->arms; k++) {
         const auto [start, n] = joints_of(c, k);
-        for (int j = start; j < start + n; j++) {
-            velocity[j] = known != 0.0 ? (c->positions[j] - c->commanded[j]) / dt : 0.0;
-            const double off = c->positions[j] - positions[j] - o->servo_delay * velocity[j];
-            c->deflection[j] += fresh * (off - c->deflection[j]);
-            fastest = fabs(velocity[j]) > fastest ? fabs(velocity[j]) : fastest;
-        }
+        for (int j = start; j < start + n; j++) bend(j);
     }
+    for (int g = 0; g < c->groups; g++)
+        for (int i = 0; i < c->group[g].shared; i++) bend(c->group[g].joint[i]);
     c->commanded = c->positions;
     c->watch->has_commanded = 1.0;
     return fastest <= AT_REST;
@@ -429,6 +474,7 @@ static int deflect(Core *c, const double *positions, double dt, double *velocity
 static double straightness(const Core *c, int k, const Twists &jacobian, const Vector6 &back) {
     const auto [start, n] = joints_of(c, k);
     Vector6 way = jacobian.middleCols(start, n).lazyProduct(c->way.segment(start, n)), scaled = back;
+    for (int i = 0; i < shared_before(c, k); i++) way += c->way[joint_behind(c, k, i)] * jacobian.col(joint_behind(c, k, i));
     way.tail<3>() *= TURN_LENGTH, scaled.tail<3>() *= TURN_LENGTH;
     return scaled.dot(way) / fmax(scaled.norm() * way.norm(), 1e-300);
 }
@@ -440,7 +486,11 @@ static void find_behind(Core *c, const Twists &jacobian, const double *C, const 
     const Vector6 total = (double)c->arms * mean_of(wrenches);
     if (!(total.head<3>().norm() > UNBALANCED * largest)) return;
     for (int k = 0; k < c->arms; k++) {
-        const Vector6 back = Eigen::Map<const Matrix6>(C + 36 * k) * total;
+        Vector6 back = Eigen::Map<const Matrix6>(C + 36 * k) * total;
+        if (const Group *g = group_of(c, k)) {
+            const Vector6 own = without_shared(c, *g, jacobian, C, total);
+            back = Eigen::Map<const Matrix6>(C + 36 * k) * own + STRUCTURE * own;
+        }
         const double straight = straightness(c, k, jacobian, back);
         if (!(straight > straightest)) continue;
         straightest = straight;
@@ -470,9 +520,13 @@ static int read_forces(Core *c, const double *positions, double dt) {
     for (int k = 0; k < n; k++) {
         Eigen::Map<Matrix6> own(C + 36 * k);
         comply(c, k, jacobian, own, wrenches.col(k));
+        if (group_of(c, k)) continue;
         Matrix6 factored = own;
         factored.diagonal().array() += STRUCTURE;
-        solve_symmetric6(factored, wrenches.col(k));
+        solve_symmetric(factored, wrenches.col(k));
+    }
+    for (int i = 0; i < c->groups; i++) push_together(c, c->group[i], jacobian, C, wrenches);
+    for (int k = 0; k < n; k++) {
         if (!holds(c, k)) wrenches.col(k).setZero(); /* nothing presses on it */
         c->forces[k] = wrenches.col(k).head<3>().norm();
         if (larger(c->forces[most], c->forces[k]) != c->forces[most]) most = k;
@@ -482,6 +536,7 @@ static int read_forces(Core *c, const double *positions, double dt) {
         for (int k = 0; k < n; k++) {
             const auto [start, size] = joints_of(c, k);
             memcpy(c->way + start, velocity + start, sizeof(double) * (size_t)size);
+            for (int i = 0; i < shared_before(c, k); i++) c->way[joint_behind(c, k, i)] = velocity[joint_behind(c, k, i)];
         }
         w->rest = 0.0;
         return most;

@@ -130,8 +130,8 @@ def plan(
             raise InvalidInputError("the path is no chain of straight lines", where, "Give one, or no blend.")
         geometry = blended(lines, distance=blend, angle=angle)
     start, starts = None, as_count(starts, f"{where}: starts")
-    if starts > 1 or payload is not None:
-        cell.refuse_shared(f"{where}: {'starts' if starts > 1 else 'payload'}")
+    if starts > 1:
+        cell.refuse_shared(f"{where}: starts")
     if q_start is not None and starts > 1:
         raise InvalidInputError("starts to compare beside a start", where, "Give one of both.")
     if scene is not None and starts > 1:

@@ -130,8 +130,8 @@ def timed_motion(
     require_toppra()
     grasp.check_arms(cell)
     where = "time_path"
-    if lead is None or payload is not None:  # nobody says where shared joints are; their torques are not known
-        cell.refuse_shared(where if payload is None else f"{where}: payload")
+    if lead is None:  # nobody says where shared joints are
+        cell.refuse_shared(where)
     share = as_scalar(share, f"{where}: share", high=1.0)
     count = as_count(knots if knots is not None else KNOTS if jerk is None else JERK_KNOTS, f"{where}: knots")
     jerks = None if jerk is None else _as_jerks(jerk, cell.nv, where)

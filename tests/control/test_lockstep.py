@@ -42,7 +42,6 @@ from coopqp.scenarios import (
     LOADED,
     PROGRAMS,
     SCENARIOS,
-    SHARED_JOINTS,
     Scenario,
     at_limit,
     at_singularity,
@@ -361,8 +360,6 @@ def every_run() -> Iterator[Any]:
     """
     for i, name in enumerate(sorted(set(SCENARIOS) - {*LOADED, *PROGRAMS, *FEW_JOINTS})):
         for k, mode in enumerate(MODES):
-            if name in SHARED_JOINTS and "forces" in mode:
-                continue  # these refuse shared joints
             if name in IN_FULL or (i + k) % 3 == 0 or NIGHTLY:
                 sanitized = name in ("paper_lift", "mixed_cell", "at_limit") and mode not in IN_SHORT
                 yield pytest.param(name, mode, marks=[pytest.mark.core] if sanitized else [])
@@ -518,6 +515,7 @@ TORSOS = {
 ON_TORSOS = (
     ("nominal", np.inf), ("nominal", 5.0), ("always a QP", 5.0), ("measured late, with noise", np.inf),
     ("an arm stalls for a while", 5.0), ("samples lost", np.inf), ("no preview", 5.0), ("middle of the joints", np.inf),
+    ("forces watched", 5.0), ("forces watched, an arm stalls", np.inf),
 )  # fmt: skip
 
 
@@ -538,7 +536,9 @@ def test_both_agree_on_joints_that_arms_share(torso: str, how: tuple[str, float]
 
 
 @pytest.mark.core
-@pytest.mark.parametrize("mode", slow_but_first(["nominal", "always a QP", "one arm lags", "no preview"]))
+@pytest.mark.parametrize(
+    "mode", slow_but_first(["nominal", "forces watched, an arm stalls", "always a QP", "one arm lags", "no preview"])
+)
 def test_both_agree_on_a_group_beside_an_arm(mode: str, tmp_path: Path) -> None:
     task = on_a_torso("lift", tmp_path, beside=True)
     assert task.cell.groups == ((1, 2),)

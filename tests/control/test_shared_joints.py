@@ -16,11 +16,9 @@ from coopqp import (
     HoldPath,
     LinePath,
     QPController,
-    QPOptions,
     RobotCell,
     ServoPath,
     Status,
-    SupervisionOptions,
     check_path,
     simulate,
 )  # fmt: skip
@@ -170,9 +168,6 @@ def test_what_does_not_know_shared_joints_refuses_them() -> None:
     for make in (
         lambda: IndependentQPController(cell, grasp, path, dt=0.01),
         lambda: PseudoInverseController(cell, grasp, path, dt=0.01),
-        lambda: QPController(
-            cell, grasp, path, dt=0.01, options=QPOptions(supervision=SupervisionOptions(stiffness=1e4))
-        ),
     ):
         with pytest.raises(InvalidInputError, match=r"share 'lift'.*Lock them"):
             make()

@@ -81,8 +81,13 @@ def test_only_arms_that_are_measured_are_asked_for_their_stiffness(kernel: str) 
         ForceController(made, {"stiffness": 1e5}).reset(q, commanded=q)  # forces are minded: they show it
 
 
-def test_where_arms_share_joints_no_stiffness_is_asked_for_that_would_be_refused() -> None:
+def test_where_arms_share_joints_the_stiffness_that_is_asked_for_is_taken() -> None:
     task = torso_lift()
     controller = QPController(task.cell, task.grasp, task.path, dt=task.dt)
-    with pytest.warns(StiffnessWarning, match="let their drivers tell what the servos track"):
+    with pytest.warns(StiffnessWarning, match=r"SupervisionOptions\(stiffness"):
         controller.reset(task.q_start, commanded=task.q_start)
+    options = {"supervision": {"stiffness": [1e6, *[1e5] * 12]}}
+    told = QPController(task.cell, task.grasp, task.path, dt=task.dt, options=options)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        told.reset(task.q_start, commanded=task.q_start)

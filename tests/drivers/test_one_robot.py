@@ -11,7 +11,17 @@ import pinocchio as pin
 import pytest
 from robots import drive, simulated_robots
 
-from coopqp import Arm, Grasp, InvalidInputError, LinePath, QPController, Robot, RobotCell
+from coopqp import (
+    Arm,
+    Grasp,
+    InvalidInputError,
+    LinePath,
+    QPController,
+    QPOptions,
+    Robot,
+    RobotCell,
+    SupervisionOptions,
+)
 from coopqp.control import StallBound
 from coopqp.drivers import Condition, ControlLoop, DriverError, ManualTime, SimulatedRobot
 from coopqp.drivers.robots import driven_joints, driver_names, robots_of
@@ -246,11 +256,14 @@ def test_joints_that_no_driver_has_or_two_have_are_refused():
             _loop(s, drivers)
 
 
-def test_blind_servos_are_refused_with_a_remedy_that_there_is():
+def test_blind_servos_are_refused_unless_their_stiffness_is_told():
     s, time = _tower(), ManualTime()
     robots = simulated_robots(s.cell, s.q_start, time, (0.0, 0.0), tells_target=False)
     (said,) = _loop(s, robots, time=time).refused()
-    assert said.endswith("Give drivers that tell it: arms share joints here.")
+    assert said.endswith("Give SupervisionOptions(stiffness=…).")
+    options = QPOptions(supervision=SupervisionOptions(stiffness=np.where(np.arange(s.cell.nv) == 0, 1e6, 1e5)))
+    controller = QPController(s.cell, s.grasp, s.path, dt=0.002, options=options)
+    assert ControlLoop(controller, robots, time=time).refused() == []
 
 
 def test_which_joints_each_driver_has():

@@ -437,6 +437,20 @@ def test_the_stiffness_of_servos_is_told_arm_by_arm(load: Callable[[str], CellRu
             load(with_stiffness(*bad))
 
 
+def test_arms_of_a_robot_tell_one_stiffness_of_what_they_share(load: Callable[[str], CellRun]) -> None:
+    def with_stiffness(*values: str) -> str:
+        texts = iter(values)
+        return re.sub(r'of = "tower"\n', lambda found: f"{found[0]}stiffness_nm_per_rad = {next(texts)}\n", ROBOT)
+
+    own = [1e5, 1e5, 5e4, 1e4, 1e4, 5e3]
+    run = load(with_stiffness(f"{[1e6, *own]}", f"{[1e6, *reversed(own)]}"))
+    assert run.stiffness is not None
+    np.testing.assert_array_equal(run.stiffness, [1e6, *own, *reversed(own)])
+    assert run.options.supervision.stiffness == tuple(run.stiffness)
+    with pytest.raises(CellFileError, match=r"arm 'right': .*: 2e\+06 for 'tower/lift', which another arm shares"):
+        load(with_stiffness(f"{[1e6, *own]}", f"{[2e6, *own]}"))
+
+
 def test_who_runs_gripped_arms_in_the_engine_is_asked_for_their_stiffness(load: Callable[[str], CellRun]) -> None:
     engine = f'{PAPER}\n[plant]\nkind = "physics"\n'
     (said,) = grip_hints(load(engine))
@@ -838,7 +852,7 @@ def test_a_robot_with_two_arms(tmp_path: Path) -> None:
         (
             'of = "tower"\n',
             'of = "tower"\nstiffness_nm_per_rad = 1e4\n',
-            "share 'lift', and joints that arms share are not known",
+            "one number would be for joints that turn and for 'lift', which slides",
         ),
         (
             'robot = "lift2"',

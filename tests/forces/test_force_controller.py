@@ -37,7 +37,7 @@ from coopqp.forces import Grip, LoadShare, StressModel, internal_wrenches
 from coopqp.model import CellState
 from coopqp.native import available_kernels, layout
 from coopqp.planning import Payload
-from coopqp.scenarios import Scenario, palm_box, paper_lift
+from coopqp.scenarios import Scenario, palm_box, paper_lift, torso_lift
 from coopqp.simulation import Disturbances, KinematicPlant, PhysicsPlant, misplaced
 from coopqp.spatial import Array
 
@@ -339,7 +339,9 @@ def test_core_and_definition_agree_about_what_minds_forces(arms: int, seed: int)
         scalars.last_rate = minding_scalars(plain).last_rate = rng.random()
 
 
-FAULTS = ("none", "noise", "lost", "late", "silent", "wrong", "out of reach", "palms", "lags")
+#: Cases that take longer than others, and their steps.
+LONG = {"palms": 340, "on a lift": 700}
+FAULTS = ("none", "noise", "lost", "late", "silent", "wrong", "out of reach", "palms", "lags", "on a lift")
 
 
 def fed(made: ForceController, case: str, steps: int, *, start: Array, as_lists: bool = False) -> list[Any]:
@@ -373,6 +375,8 @@ def fed(made: ForceController, case: str, steps: int, *, start: Array, as_lists:
 def scripted(case: str, kernel: str = "auto") -> tuple[ForceController, Array]:
     options: dict[str, Any] = {"stiffness": 1e5, "presses": False, "check_time": 0.02, "sensor_tolerance": 25.0}
     task = palm_box() if case == "palms" else paper_lift(time_law="quintic")
+    if case == "on a lift":
+        task, options["stiffness"] = torso_lift(), [1e6, *[1e5] * 12]
     if case == "palms":
         palms = (Grip(kind="palm", friction=0.6, radius=0.05),) * 2
         payload = Payload(mass=20.0, centre=task.T_object_body.translation)
@@ -388,7 +392,7 @@ def scripted(case: str, kernel: str = "auto") -> tuple[ForceController, Array]:
 
 WORDS = {
     "none": "", "noise": "slower from", "lost": "", "late": "", "silent": "no new wrench of arm", "lags": "",
-    "wrong": "does not agree", "out of reach": "cannot give way", "palms": "of the friction",
+    "wrong": "does not agree", "out of reach": "cannot give way", "palms": "of the friction", "on a lift": "",
 }  # fmt: skip
 
 
@@ -396,7 +400,7 @@ WORDS = {
 @pytest.mark.parametrize("case", [pytest.param(case, marks=[pytest.mark.slow] * (case == "palms")) for case in FAULTS])
 def test_a_step_is_the_same_whether_python_takes_part_or_not(case: str) -> None:
     """Lists keep a step out of the core: every command and every word is the same, to the last bit."""
-    steps = 340 if case == "palms" else 230
+    steps = LONG.get(case, 230)
     (made, start), (other, _) = scripted(case), scripted(case)
     whole = fed(made, case, steps, start=start)
     assert whole == fed(other, case, steps, start=start, as_lists=True)
@@ -410,7 +414,7 @@ def test_a_step_is_the_same_whether_python_takes_part_or_not(case: str) -> None:
 def test_core_and_definition_agree_about_steps_with_wrenches(case: str) -> None:
     if len(available_kernels()) < 2:
         pytest.skip("one kernel")
-    steps = 340 if case == "palms" else 230
+    steps = LONG.get(case, 230)
     (made, start), (plain, _) = scripted(case), scripted(case, "plain")
     same = 5e-8 if case == "noise" else 1e-8  # noise carries roundings into the rate
     for a, b in zip(fed(made, case, steps, start=start), fed(plain, case, steps, start=start), strict=True):

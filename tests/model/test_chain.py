@@ -9,14 +9,17 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 import pytest
+from cells import grasp_at
 from hypothesis import given, settings, strategies as st
 from numpy.typing import NDArray
+from torsos import robot_of
 
 from coopqp import Arm, Grasp, RobotCell
+from coopqp.control.monitoring.stress import whole_compliance
 from coopqp.model import CellState
 from coopqp.model.chain import SINGULAR_FLOOR, Chain
 from coopqp.scenarios import Scenario, robot_path
-from coopqp.spatial import adjoint
+from coopqp.spatial import adjoint, for_twists
 
 Array = NDArray[np.float64]
 FEW = settings(max_examples=settings().max_examples // 4)  # each example builds two cells
@@ -190,6 +193,35 @@ def test_compliances_are_those_of_joints_in_series(setting: tuple[Chain, Array],
     for k, arm in enumerate(chain.cell.v_slices):
         J, wrench = tool_jacobian(state, k), rng.normal(size=6)
         close(chain.compliances(softness)[k] @ wrench, J @ (softness[arm] * (J.T @ wrench)), 1e-12)
+
+
+@pytest.mark.parametrize("torso", [(("prismatic", "0 0 1"),), (("prismatic", "1 0 0"), ("revolute", "0 1 0"))])
+def test_compliances_of_shared_joints_are_those_of_the_whole_chain(torso: Any, tmp_path: Path, rng: Any) -> None:
+    """Wrenches on all arms bend each joint by softness (Jᵀ w), with J of all tools: once for what arms share."""
+    cell = RobotCell([robot_of(torso, tmp_path)])
+    x = rng.uniform(-1.0, 1.0, cell.nv)
+    q = cell.configuration(x)
+    chain, softness = Chain(cell, grasp_at(cell, q)), rng.uniform(0.1, 2.0, cell.nv)
+    chain.evaluate(q, ABOUT)
+    J, h = np.empty((12, cell.nv)), 1e-6
+    for j in range(cell.nv):
+        step = h * (np.arange(cell.nv) == j)
+        ends = [chain.carried(cell.configuration(x + side * step)) for side in (-1.0, 1.0)]
+        for k, (before, after) in enumerate(zip(*ends, strict=True)):
+            turn = pin.log3(after.rotation @ before.rotation.T) / (2.0 * h)
+            middle = 0.5 * (before.translation + after.translation)
+            line = (after.translation - before.translation) / (2.0 * h) + np.cross(turn, ABOUT - middle)
+            J[6 * k : 6 * k + 6, j] = [*line, *turn]
+    own, shared = chain.compliances(softness), chain.shared_compliance(softness)
+    assert shared is not None
+    whole = whole_compliance(own, shared)
+    close(whole, J @ np.diag(softness) @ J.T, 1e-6)
+    R = for_twists(pin.exp3(rng.normal(size=3)))
+    turned = chain.shared_compliance(softness, R)
+    close(turned, np.kron(np.eye(2), R).T @ shared @ np.kron(np.eye(2), R), 1e-12)
+    # Wrenches that cancel leave a joint that all arms share alone.
+    squeeze = rng.normal(size=6)
+    close(shared @ np.concatenate([squeeze, -squeeze]), np.zeros(12), 1e-12)
 
 
 def scale_of(chain: Chain, k: int) -> Array:

@@ -14,6 +14,7 @@ from coopqp.errors import UnknownNameError
 from coopqp.model import CellState, Chain
 from coopqp.model.chain import moving_columns
 from coopqp.scenarios import robot_path
+from coopqp.scenarios.robots import SEVERAL_ARMS
 from coopqp.simulation.evaluation.metrics import tools_and_jacobians
 from coopqp.simulation.evaluation.readings import _sigma_min
 from coopqp.simulation.recording.scene import describe_cell, read_cell
@@ -55,6 +56,19 @@ def test_a_robot_moves_as_its_model_does(torso: tuple[tuple[str, str], ...], tmp
         np.testing.assert_allclose(state.jacobian(k)[:, moving], J[:, moving], rtol=0, atol=1e-12)
     masses = pin.crba(cell.model, cell.model.createData(), cell.configuration(x))
     assert masses.shape == (cell.nv, cell.nv)
+
+
+@pytest.mark.parametrize("name", ["lift2", "rail2"])
+def test_every_link_weighs_once(name: str) -> None:
+    """The weight at each joint is that in the robot's own description, whatever the arms' models were reduced to."""
+    whole = pin.buildModelFromUrdf(str(robot_path(name)))
+    cell = RobotCell([Robot(robot_path(name), SEVERAL_ARMS[name], name="one", geometry=False)])
+    assert pin.computeTotalMass(cell.model) == pytest.approx(pin.computeTotalMass(whole))
+    x = np.random.default_rng(3).uniform(-1.0, 1.0, cell.nv)
+    own = [whole.joints[whole.getJointId(joint.partition("/")[2])].idx_v for joint in cell.joint_names]
+    q = pin.integrate(whole, pin.neutral(whole), x[np.argsort(own)])
+    weight = pin.computeGeneralizedGravity(cell.model, cell.model.createData(), cell.configuration(x))
+    np.testing.assert_allclose(weight, pin.computeGeneralizedGravity(whole, whole.createData(), q)[own], atol=1e-9)
 
 
 def test_a_robot_without_shared_joints_is_two_arms(tmp_path: Path) -> None:

@@ -108,6 +108,17 @@ def test_continuous_joints_go_on_past_half_a_turn(make_cell: Callable[..., Robot
     assert made.at(made.end)[0][cell.continuous] == pytest.approx(6.0)
 
 
+def test_continuous_joints_rest_near_where_they_are(make_cell: Callable[..., RobotCell]) -> None:
+    """At half a turn the same configuration is two positions, a turn apart: the servo's own is meant."""
+    cell = make_cell(["arm6c"])
+    x = np.where(cell.continuous, np.pi - 1e-9, 0.3)
+    assert cell.continuous.any()
+    near = x - 2.0 * np.pi * cell.continuous
+    targets = JointTargets(cell, interpolation="cubic", lag={}, stall={})
+    targets.reset(cell.configuration(x), near)
+    np.testing.assert_allclose(targets.at(0.0)[0], near, atol=1e-12)
+
+
 def test_a_lagging_arm_trails_by_its_time_constant(cell: RobotCell) -> None:
     made = targets(cell, "linear", lag={"0_rx90l": 0.02})
     for i in range(300):

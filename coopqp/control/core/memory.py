@@ -82,7 +82,6 @@ def build_memory(
 
     Raises:
         NotForTheCore: a joint type, or an order of joints, that the core does not know.
-        InvalidInputError: forces are to be watched, and arms share joints.
     """
     cell, past = chain.cell, kept_samples(options.supervision, dt)
     memory = Memory(chain, unknowns=unit.size, past=past, arithmetic=arithmetic)
@@ -90,8 +89,6 @@ def build_memory(
     _put_links(chain, at)
     at["near_cos"][:] = 1.0  # of position 0
     stiffness, posture = options.supervision.stiffness, options.posture
-    if stiffness is not None:
-        cell.refuse_shared("StressModel")
     at_grasps = grasp_lengths(chain.grasp)
     bounded = np.isfinite(limits.lower) & np.isfinite(limits.upper)
     fields = {

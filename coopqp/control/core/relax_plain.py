@@ -55,7 +55,7 @@ def minding_views(memory: Array, arms: int) -> dict[str, Array]:
         ("internal_of", (n, n)), ("yields", (n, n)), ("palms", (arms, 2, 4, 6)),
         ("felt", (arms, 6)), ("held", (arms, 6)), ("off_servos", (arms, 6)), ("off_last", (arms, 6)),
         ("off_step", (arms, 6)), ("off_drift", (arms, 6)), ("off_noise", (arms,)),
-        ("holding", (arms,)), ("freed", (arms,)), ("compliances", (arms, 6, 6)), ("carries", (n, 3)),
+        ("holding", (arms,)), ("freed", (arms,)), ("compliances", (arms, 6, arms, 6)), ("carries", (n, 3)),
         ("unfed_of", (n, n)), ("reference", (12,)), ("centre", (3,)), ("travel", (3, 3)), ("push", (5, 3)),
     )  # fmt: skip
     for name, shape in shapes:
@@ -67,7 +67,7 @@ def minding_views(memory: Array, arms: int) -> dict[str, Array]:
 
 def minding_size(arms: int) -> int:
     """Size of the memory for a number of arms."""
-    return layout.SIZES["Minding"] + 39 + (130 + 48) * arms + 108 * arms**2
+    return layout.SIZES["Minding"] + 39 + (94 + 48) * arms + 144 * arms**2
 
 
 def gives_way(m: Any) -> bool:

@@ -6,6 +6,8 @@ its command, with ρ the servos' real stiffness over the given one. Where it sta
     ``r_k = away_k + C_k (w_k − S_k load) / ρ``,
 
 its servos do not hold it: it has stalled, or its grip slips. A lag that all arms have is in the mean of the others.
+Arms that share joints move each other by these: ``Σ_j C_kj (w_j − S_j load)`` is in the place of the second term.
+
 Where the relaxation moves the grasps by d, a rigid grip keeps the arms from following, and the distance of the arms as
 measured from as commanded parts by −d. So the arms are out of step by ``a_k = away_k + (d_k − d_k(reset))`` only. That
 alone does not see a stalled arm, whose forces are relaxed; the servos do.
@@ -13,7 +15,9 @@ alone does not see a stalled arm, whose forces are relaxed; the servos do.
 
 from __future__ import annotations
 
+import itertools
 import math
+from collections.abc import Sequence
 from typing import final
 
 import numpy as np
@@ -42,10 +46,12 @@ class ServoWatch:
     Args:
         memory: numbers of :data:`coopqp.native.layout.Minding`, and the vectors behind them.
         names: of the arms.
+        groups: arms that share joints, the indices of each group.
     """
 
-    def __init__(self, memory: Array, names: tuple[str, ...]) -> None:
+    def __init__(self, memory: Array, names: tuple[str, ...], groups: Sequence[tuple[int, ...]] = ()) -> None:
         self._scalars, self._names, n = minding_scalars(memory), names, len(names)
+        self._pairs = [pair for group in groups for pair in itertools.permutations(group, 2)]
         self._views = minding_views(memory, n)
 
     def take_over(self, before: Flags, now: Flags) -> None:
@@ -163,5 +169,8 @@ class ServoWatch:
         m, x = self._scalars, self._views
         load = rotation.T @ np.array([m.weight_x, m.weight_y, m.weight_z])
         pushed = (x["unfed_of"] @ x["felt"].ravel() - x["carries"] @ load).reshape(-1, 6)
-        bent: Array = np.einsum("kij,kj->ki", x["compliances"], pushed) / max(m.stiffer, SOFTEST)
+        own = np.einsum("kikj->kij", x["compliances"])
+        bent: Array = np.einsum("kij,kj->ki", own, pushed) / max(m.stiffer, SOFTEST)
+        for k, other in self._pairs:  # what one arm pushes moves the joints that the other shares with it
+            bent[k] += x["compliances"][k, :, other] @ pushed[other] / max(m.stiffer, SOFTEST)
         return bent

@@ -8,6 +8,10 @@ An arm in a rigid grip that does not follow its command is dragged along by the 
 their commands by the same displacement: nothing parts them, but the wrenches do not cancel. At rest, where neither
 inertia nor damping plays a part, the total wrench points the arm that does not follow straight back along its way:
 ``C_k Σ w`` is the distance by which its servos' target lags behind.
+
+Arms that share joints give way to each other's wrenches: with C the compliance of all arms (6 N, 6 N), which has
+blocks beside its diagonal for these joints, ``w = C⁻¹ A (q_command − q_measured)``, and arm k lags by
+``(Σ_j (C⁻¹)_jk)⁻¹ Σ w``.
 """
 
 from __future__ import annotations
@@ -93,7 +97,8 @@ class StressWatch:
         self._deflection = self._deflection + (1.0 - keep) * (off - self._deflection)
         chain.evaluate(measured, about=chain.carried(measured)[0].translation)
         C, bent = chain.compliances(self._softness), chain.twists(self._deflection)
-        wrenches = servo_wrenches(C, bent) * np.reshape(holds, (-1, 1))
+        shared = chain.shared_compliance(self._softness)
+        wrenches = servo_wrenches(C, bent, shared) * np.reshape(holds, (-1, 1))
         self.forces = np.linalg.norm(wrenches[:, :3], axis=1)
         self._slow = self._slow + dt / (PACE_TIME + dt) * (self.forces - self._slow)
         self.behind = -1
@@ -103,7 +108,7 @@ class StressWatch:
         self._rest += dt
         total = wrenches.sum(axis=0)
         if self._rest > SERVOS_SETTLED and np.linalg.norm(total[:3]) > UNBALANCED * self.forces.max():
-            back, way = C @ total, chain.twists(self._way) * _SCALE
+            back, way = self._behind_by(C, total, shared), chain.twists(self._way) * _SCALE
             size = np.linalg.norm(back * _SCALE, axis=1) * np.linalg.norm(way, axis=1)
             straight = np.einsum("ij,ij->i", back * _SCALE, way) / np.maximum(size, 1e-300)
             k = int(straight.argmax())
@@ -111,7 +116,34 @@ class StressWatch:
                 self.behind, self.gap = k, float(np.linalg.norm(back[k, :3]))
                 self.pull = float(np.linalg.norm((total - wrenches[k])[:3]))
 
+    def _behind_by(self, compliances: Array, total: Array, shared: Array | None) -> Array:
+        """By how much the servos' target of each arm would lag behind for the total wrench (N, 6) [m, rad]."""
+        back: Array = compliances @ total
+        if shared is not None:
+            stiffness = np.linalg.inv(whole_compliance(compliances + STRUCTURE * np.eye(6), shared))
+            sums = stiffness.reshape(len(back), 6, -1).sum(axis=0)  # of what all arms feel of where one of them is
+            for k in (k for group in self._cell.groups for k in group):
+                back[k] = np.linalg.solve(sums[:, 6 * k : 6 * k + 6], total)
+        return back
 
-def servo_wrenches(compliances: Array, yielded: Array) -> Array:
-    """Wrenches (N, 6) of servos with compliances (N, 6, 6) that yield by displacements (N, 6)."""
-    return np.asarray(np.linalg.solve(compliances + STRUCTURE * np.eye(6), yielded[:, :, None])[:, :, 0])
+
+def servo_wrenches(compliances: Array, yielded: Array, shared: Array | None = None) -> Array:
+    """Wrenches (N, 6) of servos that yield by displacements (N, 6).
+
+    Args:
+        compliances: of each arm's own joints (N, 6, 6).
+        yielded: of the object as each arm carries it.
+        shared: compliance of the joints that arms share (6 N, 6 N); None without such joints.
+    """
+    C = compliances + STRUCTURE * np.eye(6)
+    if shared is None:
+        return np.asarray(np.linalg.solve(C, yielded[:, :, None])[:, :, 0])
+    return np.asarray(np.linalg.solve(whole_compliance(C, shared), yielded.ravel())).reshape(-1, 6)
+
+
+def whole_compliance(compliances: Array, shared: Array) -> Array:
+    """The compliance of all arms (6 N, 6 N), from that of their own joints (N, 6, 6) and of those that they share."""
+    out = shared.copy()
+    for k, own in enumerate(compliances):
+        out[6 * k : 6 * k + 6, 6 * k : 6 * k + 6] += own
+    return out

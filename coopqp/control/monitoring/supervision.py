@@ -452,7 +452,6 @@ def grasp_lengths(grasp: Grasp) -> Array:
 def _stress_watch(cell: RobotCell, grasp: Grasp, options: SupervisionOptions) -> StressWatch | None:
     if options.stiffness is None:
         return None
-    cell.refuse_shared("SupervisionOptions: stiffness")
     size = np.size(options.stiffness)
     if size not in (1, cell.nv):
         raise InvalidInputError(

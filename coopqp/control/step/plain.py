@@ -147,7 +147,7 @@ class PlainLoop:
 
     def take_minding(self, memory: Array) -> None:
         """Monitor forces, too: compare the arms with the wrenches that the owner of ``memory`` puts there."""
-        self._supervision.servos = ServoWatch(memory, self.cell.arm_names)
+        self._supervision.servos = ServoWatch(memory, self.cell.arm_names, self.cell.groups)
 
     def start(self, q: Array) -> None:
         """Start at rest at ``q``; forget everything."""

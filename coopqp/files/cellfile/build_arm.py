@@ -136,23 +136,31 @@ def build_stiffness(tables: Sequence[ArmTable], cell: RobotCell) -> Array | None
     """Kp of all joint servos (nv,) [N·m/rad or N/m]; None if no arm tells it.
 
     Raises:
-        CoopqpError: some arms tell it and others do not, or in another number than that of their joints.
+        CoopqpError: some arms tell it and others do not, or in another number than that of their joints; or two arms
+            tell two numbers of a joint that they share.
     """
     silent = [table.name for table in tables if table.stiffness_nm_per_rad is None]
     if len(silent) == len(tables):
         return None
-    cell.refuse_shared("stiffness_nm_per_rad")
     if silent:
         raise CoopqpError(
             f"arm '{silent[0]}': stiffness_nm_per_rad is missing. Forces are read from the servos of all arms or of "
             "none: give it for every arm."
         )
-    rows = []
-    for table, arm in zip(tables, cell.arms, strict=True):
+    out = np.full(cell.nv, np.nan)
+    for table, arm, columns in zip(tables, cell.arms, cell.columns, strict=True):
         alone, where = RobotCell([arm]), f"arm '{table.name}': stiffness_nm_per_rad"
         _check_kinds(table.stiffness_nm_per_rad, alone, where, "N/m")
-        rows.append(in_radians(table.stiffness_nm_per_rad, slides(alone), where, degrees=False))
-    return np.concatenate(rows)
+        row = in_radians(table.stiffness_nm_per_rad, slides(alone), where, degrees=False)
+        other = np.flatnonzero(np.isfinite(out[columns]) & (out[columns] != row))
+        if other.size:
+            told = out[columns[other[0]]]
+            raise CoopqpError(
+                f"{where}: {row[other[0]]:g} for '{cell.joint_names[columns[other[0]]]}', which another arm shares and "
+                f"has {told:g}. Give the same number for both."
+            )
+        out[columns] = row
+    return out
 
 
 def _check_kinds(value: Any, alone: RobotCell, where: str, unit: str) -> None:

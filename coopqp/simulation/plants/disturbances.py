@@ -6,8 +6,10 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 import numpy as np
+import pinocchio as pin
 
 from coopqp.checks import as_scalar, as_seed, keep_scalars, require
+from coopqp.errors import InvalidInputError
 from coopqp.forces.wrist_sensor import WristSensor
 from coopqp.model.cell import RobotCell
 from coopqp.model.grasp import Grasp
@@ -24,7 +26,8 @@ class Disturbances:
         drop_share: share of lost samples; the last sample is then repeated.
         drops_by_arm: True if every arm loses its own samples, False if all arms lose the same ones.
         dt_jitter: amplitude of the variation of periods, as a share; for loops that take the period from the plant.
-        base_offset: real placement of an arm's base in its nominal base frame, by arm.
+        base_offset: real placement of an arm's base in its nominal base frame, by arm; of arms that share joints by one
+            of them.
         lag: time constant of the joints' response to commands [s], by arm.
         stall: time at which an arm stops moving [s], by arm.
         wrench_noise, wrench_bias: standard deviation and constant error of measured wrenches [N]; of torques a tenth
@@ -75,6 +78,26 @@ class Disturbances:
             require(sensor, WristSensor, f"Disturbances: sensors['{arm}']", "Give a coopqp.forces.WristSensor.")
         for arm, placement in self.base_offset.items():
             as_placement(placement, f"Disturbances: base_offset['{arm}']")
+
+    def base_offsets(self, cell: RobotCell) -> dict[str, pin.SE3]:
+        """``base_offset`` by the arms' names, of arms that share joints by the first of them: they have one base.
+
+        Raises:
+            UnknownNameError: no such arm.
+            InvalidInputError: the arms of one base are given two placements.
+        """
+        firsts = {k: group[0] for group in cell.groups for k in group}
+        out: dict[str, pin.SE3] = {}
+        for arm, given in self.base_offset.items():
+            k = cell.index(arm)
+            name, offset = cell.arm_names[firsts.get(k, k)], as_placement(given, "base_offset")
+            if not out.setdefault(name, offset).isApprox(offset, 1e-12):
+                raise InvalidInputError(
+                    f"robot '{cell.arms[k].robot}' has one base and is given two offsets",
+                    "Disturbances: base_offset",
+                    "Give that of one of its arms.",
+                )
+        return out
 
 
 def misplaced(cell: RobotCell, grasp: Grasp, offsets: Mapping[str, Placement]) -> Grasp:

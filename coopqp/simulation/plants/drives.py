@@ -35,6 +35,7 @@ import pinocchio as pin
 
 from coopqp.forces.internal import internal_wrenches
 from coopqp.model.cell import RobotCell
+from coopqp.model.chain import part_columns, parts
 from coopqp.model.grasp import Grasp
 from coopqp.simulation.plants.physics_options import PhysicsOptions
 from coopqp.spatial import Array
@@ -70,6 +71,11 @@ class TorqueDrives:
                 self._model.inertias[i] = pin.Inertia.FromDynamicParameters(parameters)
         self._model.gravity.linear = np.array(options.gravity) * bool(options.gravity_compensation)
         self._data = self._model.createData()
+        #: What moves by itself: arms, and their joints.
+        self._parts = [
+            (arms, cell.v_slices[arms[0]] if len(arms) == 1 else columns)
+            for arms, columns in zip(parts(cell), part_columns(cell), strict=True)
+        ]
         n = len(cell)
         on_object = internal_wrenches(np.eye(6 * n).reshape(-1, n, 6), grasp)
         at_tools = [on_object[:, k] @ X.action for k, X in enumerate(grasp.T_object_tool)]
@@ -124,24 +130,30 @@ class TorqueDrives:
         self.disturbance = self.disturbance + passed * (d - self.disturbance)
         jacobians, to_wrench = self._tools(q, M)
         if self._senses:
-            c = np.array([A @ load[s] for A, s in zip(to_wrench, self._cell.v_slices, strict=True)]) - wrenches
+            c = self._by_part(to_wrench, load) - wrenches
             self._felt = self._felt + passed * np.where(np.isnan(c), 0.0, c - self._felt)
         else:
-            parts = zip(to_wrench, self._cell.v_slices, strict=True)
-            self._felt = np.array([A @ self.disturbance[s] for A, s in parts])
+            self._felt = self._by_part(to_wrench, self.disturbance)
         self._resisted = self.disturbance.copy()
         squeezes = (self._internal @ self._felt.ravel()).reshape(-1, 6)
-        for s, J, w in zip(self._cell.v_slices, jacobians, squeezes, strict=True):
-            self._resisted[s] -= J.T @ w
+        for (arms, s), J in zip(self._parts, jacobians, strict=True):
+            self._resisted[s] -= J.T @ squeezes[list(arms)].ravel()
+
+    def _by_part(self, to_wrench: list[Array], torque: Array) -> Array:
+        """The wrenches at the tools (N, 6) of torques (nv,), with the maps of :meth:`_tools`."""
+        out = np.empty((len(self._cell), 6))
+        for (arms, s), A in zip(self._parts, to_wrench, strict=True):
+            out[list(arms)] = (A @ torque[s]).reshape(-1, 6)
+        return out
 
     def _tools(self, q: Array, M: Array) -> tuple[list[Array], list[Array]]:
-        """J (6, n) of each arm in the tool's axes, and J̄ᵀ (6, n), which maps torques to their wrench at the tool."""
+        """J (6 K, n) of each part's K arms in their tools' axes, and J̄ᵀ (6 K, n): torques to wrenches at the tools."""
         pin.computeJointJacobians(self._model, self._data, q)
-        jacobians, moves = [], []
-        for s, frame in zip(self._cell.v_slices, self._cell.tool_frames, strict=True):
-            J = np.asarray(pin.getFrameJacobian(self._model, self._data, frame, pin.LOCAL))[:, s]
+        jacobians, to_wrench = [], []
+        for arms, s in self._parts:
+            frames = [self._cell.tool_frames[k] for k in arms]
+            J = np.vstack([pin.getFrameJacobian(self._model, self._data, frame, pin.LOCAL)[:, s] for frame in frames])
+            move = np.linalg.solve(M[s][:, s], J.T)  # M⁻¹ Jᵀ
             jacobians.append(J)
-            moves.append(np.linalg.solve(M[s, s], J.T))  # M⁻¹ Jᵀ
-        mobilities = np.array([J @ move for J, move in zip(jacobians, moves, strict=True)])
-        weights = np.linalg.pinv(mobilities, rcond=_MOVABLE, hermitian=True)
-        return jacobians, [weight @ move.T for weight, move in zip(weights, moves, strict=True)]
+            to_wrench.append(np.linalg.pinv(J @ move, rcond=_MOVABLE, hermitian=True) @ move.T)
+        return jacobians, to_wrench

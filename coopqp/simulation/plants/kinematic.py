@@ -22,7 +22,7 @@ from coopqp.model.grasp import Grasp
 from coopqp.simulation.evaluation.metrics import chain_error
 from coopqp.simulation.plants.disturbances import Disturbances
 from coopqp.simulation.plants.sensors import Encoders
-from coopqp.spatial import Array, as_placement
+from coopqp.spatial import Array
 
 
 class Plant(Protocol):
@@ -100,9 +100,11 @@ class DisturbedPlant:
             for arm, delay in (command_latency or {}).items()
         }
         self._displaced = [pin.SE3.Identity() for _ in cell.arms]  # in the world
-        for arm, offset in d.base_offset.items():
-            base = cell.arms[cell.index(arm)].T_world_base
-            self._displaced[cell.index(arm)] = base * as_placement(offset, "base_offset") * base.inverse()
+        for arm, offset in d.base_offsets(cell).items():
+            k = cell.index(arm)
+            base = cell.arms[k].T_world_base
+            for on_it in next((group for group in cell.groups if k in group), (k,)):
+                self._displaced[on_it] = base * offset * base.inverse()
         self._data = cell.model.createData()
         self._encoders = Encoders(cell, d)
         self.reset(pin.neutral(cell.model))

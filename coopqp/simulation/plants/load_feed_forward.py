@@ -11,6 +11,7 @@ from coopqp.checks import as_vector, require
 from coopqp.errors import InvalidInputError, UnreachableError
 from coopqp.forces.load_sharing import LoadShare
 from coopqp.model.cell import RobotCell
+from coopqp.model.chain import moving_columns
 from coopqp.model.grasp import Grasp
 from coopqp.simulation.plants.physics_options import PhysicsOptions
 from coopqp.spatial import Array, cross
@@ -56,11 +57,10 @@ class LoadFeedForward:
         self._centre = centre
         self.reset()
         self._data = cell.model.createData()
-        #: Arm and index of every joint.
-        self._own_joints = (
-            np.repeat(np.arange(len(cell)), [s.stop - s.start for s in cell.v_slices]),
-            np.arange(cell.nv),
-        )
+        #: Which tools each joint moves (N, nv).
+        self._moves = np.zeros((len(cell), cell.nv), dtype=bool)
+        for moved, columns in zip(self._moves, moving_columns(cell), strict=True):
+            moved[columns] = True
 
     def reset(self) -> None:
         """All arms bear the weight by their shares."""
@@ -135,7 +135,7 @@ class LoadFeedForward:
         # about the world's origin, like J
         moments = cross(self._levers @ R_object.T, self._weight[None]) + cross(points, self._forces)
         by_arm: Array = np.hstack([self._forces, moments]) @ J  # (N, nv): of the wrench of each arm
-        return by_arm[self._own_joints]
+        return np.where(self._moves, by_arm, 0.0).sum(axis=0)
 
     def _of_motion(self, load: LoadShare, q: Array, v: Array, dv: Array) -> Array:
         twist, change = load.object_motion(q, v, dv)

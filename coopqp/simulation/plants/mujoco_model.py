@@ -108,9 +108,10 @@ def build_spec(
         _touches(stand.geoms[0], object_=False)
         stand.geoms[0].name, stand.geoms[0].friction, stand.geoms[0].priority = STAND, [0.05, 0.005, 0.0001], 2
         stand.geoms[0].solref, stand.geoms[0].solimp = _CONTACT
-    for arm, rows, X in zip(cell.arms, cell.v_slices, grasp.T_object_tool, strict=True):
+    bodies: dict[str, Any] = {}
+    for k, (arm, X) in enumerate(zip(cell.arms, grasp.T_object_tool, strict=True)):
         box.add_site(name=grip_site(arm.name), pos=X.translation, quat=quaternion(X.rotation))  # reset moves it
-        tool = _add_arm(mujoco, spec, arm, servos, rows, options, base_offset, welded=palms is None)
+        tool = _add_arm(mujoco, spec, cell, k, bodies, servos, options, base_offset, welded=palms is None)
         if palms is not None:
             _add_pad(mujoco, tool, palms[arm.name])
     return spec
@@ -133,23 +134,35 @@ def compile_spec(spec: Any) -> Any:
 def _add_arm(
     mujoco: Any,
     spec: Any,
-    arm: Arm,
+    cell: RobotCell,
+    k: int,
+    there: dict[str, Any],
     servos: Servos,
-    rows: slice,
     options: PhysicsOptions,
     base_offset: Mapping[str, pin.SE3],
     *,
     welded: bool,
 ) -> Any:
-    """Add an arm, and its weld to the object unless it has a palm. Returns the body of its tool."""
-    model = arm.model
-    T_base = arm.T_world_base * base_offset.get(arm.name, pin.SE3.Identity())
+    """Add arm k, and its weld to the object unless it has a palm. Returns the body of its tool.
+
+    Bodies that are ``there`` by their names are not added again: the base and the shared joints of arms that share
+    joints. What is new is added to them.
+    """
+    arm = cell.arms[k]
+    model, base = arm.model, f"{arm.robot if arm.shared else arm.name}:base"
     twists, servoed = joint_axes(model), options.servo == "position"
-    bodies = [_add_body(spec.worldbody, f"{arm.name}:base", T_base)]
-    _set_inertia(bodies[0], model.inertias[0])
+    known = set(there)
+    if base not in known:
+        T_base = arm.T_world_base * base_offset.get(arm.name, pin.SE3.Identity())
+        there[base] = _add_body(spec.worldbody, base, T_base)
+        _set_inertia(there[base], model.inertias[0])
+    names = [base, *(cell.joint_names[j] for j in cell.columns[k][[joint.idx_v for joint in model.joints][1:]])]
     for i in range(1, model.njoints):
-        name, j = f"{arm.name}/{model.names[i]}", rows.start + model.joints[i].idx_v
-        body = _add_body(bodies[model.parents[i]], name, model.jointPlacements[i])
+        name = names[i]
+        if name in known:
+            continue
+        j = cell.columns[k][model.joints[i].idx_v]
+        body = there[name] = _add_body(there[names[model.parents[i]]], name, model.jointPlacements[i])
         body.gravcomp = options.assumed_mass if options.gravity_compensation and servoed else 0.0
         _set_inertia(body, model.inertias[i])
         axis, slides = _axis(arm, i, twists[model.joints[i].idx_v])
@@ -164,13 +177,13 @@ def _add_arm(
         kp, kd = float(servos.stiffness[j]), float(servos.damping[j])
         gains = (kp, -kp, -kd) if servoed else (1.0, 0.0, 0.0)
         actuator.gainprm[0], actuator.biasprm[1], actuator.biasprm[2] = gains
-        bodies.append(body)
     if arm.visual is not None:
         for item in arm.visual.geometryObjects:
-            _add_shape(mujoco, bodies[item.parentJoint], item)
+            if names[item.parentJoint] not in known:
+                _add_shape(mujoco, there[names[item.parentJoint]], item)
     frame = model.frames[model.getFrameId(arm.tool_frame)]
     site = tool_site(arm.name)
-    tool = _add_body(bodies[frame.parentJoint], site, frame.placement)  # massless, carries the sensors
+    tool = _add_body(there[names[frame.parentJoint]], site, frame.placement)  # massless, carries the sensors
     tool.gravcomp = float(servoed)
     tool.add_site(name=site)
     if welded:

@@ -100,7 +100,6 @@ class PhysicsPlant:
         require_mujoco()
         require(grasp, Grasp, "PhysicsPlant: grasp", "Give a Grasp of the placements.")
         grasp.check_arms(cell)
-        cell.refuse_shared("PhysicsPlant")
         self.cell, self.grasp = cell, grasp
         self.options = as_options(PhysicsOptions, options, "PhysicsPlant: options")
         self.disturbances = as_options(Disturbances, disturbances, "PhysicsPlant: disturbances")
@@ -139,10 +138,7 @@ class PhysicsPlant:
             T_object_body=self.T_object_body,
             servos=servos,
             options=self.options,
-            base_offset={
-                cell.arm_names[cell.index(k)]: as_placement(T, "base_offset")
-                for k, T in self.disturbances.base_offset.items()
-            },
+            base_offset=self.disturbances.base_offsets(cell),
             palms=None if self.palms is None else dict(zip(cell.arm_names, self.palms, strict=True)),
         )
         self._engine = MujocoCell(self._spec, cell, welded=self.palms is None)
@@ -227,7 +223,7 @@ class PhysicsPlant:
             u = TimeLaw.QUINTIC.value_at((i + 1) / n)  # half the steps to move, half to rest
             self._command(x + u * way, still, None, torque + u * (self._torque - torque))
             self._step(h)
-        self._targets.reset(measured if n else start)
+        self._targets.reset(measured if n else start, self.positions)
         self._velocity = np.zeros(self.cell.nv)
         return measured
 

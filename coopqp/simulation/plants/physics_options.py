@@ -209,7 +209,9 @@ class PhysicsOptions:
         Raises:
             InvalidInputError: wrong shape, or a number is not positive (an armature may be 0).
         """
-        default = np.concatenate([_default_servos(arm.model) for arm in cell.arms], axis=1)
+        default = np.empty((3, cell.nv))
+        for arm, columns in zip(reversed(cell.arms), reversed(cell.columns), strict=True):
+            default[:, columns] = _default_servos(arm.model)  # a joint that arms share has those of the first of them
         given = (self.stiffness, self.damping, self.armature)
         rows = []
         for i, (name, value) in enumerate(zip(("stiffness", "damping", "armature"), given, strict=True)):

@@ -76,10 +76,16 @@ class JointTargets:
         self._stall = [(cell.v_slices[cell.index(name)], time) for name, time in stall.items()]
         self.reset(pin.neutral(cell.model))
 
-    def reset(self, q: Array) -> None:
-        """Rest at the configuration ``q`` (nq,) at time 0."""
+    def reset(self, q: Array, near: Array | None = None) -> None:
+        """Rest at the configuration ``q`` (nq,) at time 0.
+
+        Continuous joints are within half a turn of ``near`` (nv,), or in (−π, π].
+        """
         self._q = np.array(q)
         x = self._cell.positions(self._q)
+        if near is not None:
+            own = self._cell.continuous
+            x[own] += 2.0 * np.pi * np.round((near[own] - x[own]) / (2.0 * np.pi))
         zero = np.zeros_like(x)
         self._segment = _Segment(-1.0, 0.0, x, zero, x, zero, True)
         self._mean, self._span = zero, 1.0

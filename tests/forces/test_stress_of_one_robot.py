@@ -1,0 +1,151 @@
+"""Internal stress where arms share joints: by the least elastic energy of all joints, each counted once."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pinocchio as pin
+import pytest
+from cells import grasp_at, on_another_joint
+from torsos import robot_of
+
+from coopqp import RobotCell
+from coopqp.control.monitoring.stress import StressWatch, servo_wrenches, whole_compliance
+from coopqp.forces import StressModel
+from coopqp.forces.presses import PressPlan, of_grip
+from coopqp.model import CellState, Chain
+from coopqp.spatial import Array, for_twists
+
+#: What the compliance of the arms' structure makes of it, which is beside that of their servos.
+SOFT = 2e-2
+TORSOS = {
+    "lift": (("prismatic", "0 0 1"),),
+    "waist": (("revolute", "0 0 1"),),
+    "both": (("prismatic", "0 0 1"), ("revolute", "0 1 0")),
+}
+
+
+def cell_of(torso: str, folder: Path, *, beside: bool) -> RobotCell:
+    robot = robot_of(TORSOS[torso], folder)
+    return RobotCell([on_another_joint("0", pin.JointModelRZ(), pin.SE3.Identity()), robot] if beside else [robot])
+
+
+@pytest.fixture(params=[(torso, beside) for torso in TORSOS for beside in (False, True)], ids=str)
+def cell(request: pytest.FixtureRequest, tmp_path: Path) -> RobotCell:
+    torso, beside = request.param
+    return cell_of(torso, tmp_path, beside=beside)
+
+
+def regular(cell: RobotCell, rng: np.random.Generator) -> Array:
+    """A configuration in which no arm's own joints are near a singularity."""
+    while True:
+        q = cell.configuration(rng.uniform(-1.2, 1.2, cell.nv))
+        state, own = CellState(cell, q), [~np.isin(columns, cell.shared) for columns in cell.columns]
+        if min(np.linalg.svd(state.jacobian(k)[:, own[k]])[1][5] for k in range(len(cell))) > 0.1:
+            return q
+
+
+def dense(cell: RobotCell, q: Array, R: pin.SE3) -> Array:
+    """Twists of the object by each arm, in R, for all joints (6 N, nv): 0 where a joint does not move the tool."""
+    state, out = CellState(cell, q), np.zeros((len(cell), 6, cell.nv))
+    for k, joint in enumerate(cell.tool_joints):
+        J = pin.computeJointJacobian(cell.model, cell.model.createData(), q, joint)
+        out[k] = R.actInv(state.T_world_tool[k] * cell.T_joint_tool[k].inverse()).action @ J
+    return out.reshape(-1, cell.nv)
+
+
+def settled(cell: RobotCell, q: Array, R: pin.SE3, e: Array, stiffness: Array) -> tuple[Array, Array]:
+    """Deflections (nv,) of least energy with which arms that are off by e (N, 6) meet, and their wrenches (N, 6)."""
+    n, nv, A = len(cell), cell.nv, dense(cell, q, R)
+    root = np.sqrt(stiffness.mean())
+    E = np.tile(np.eye(6), (n, 1))
+    # y = Kp^½ δq / root, o and the multipliers: A δq + e = E o.
+    system = np.hstack([A * root / np.sqrt(stiffness), -E])
+    H = np.diag(np.concatenate([np.ones(nv), np.zeros(6)]))
+    kkt = np.block([[H, system.T], [system, np.zeros((6 * n, 6 * n))]])
+    x = np.linalg.solve(kkt, np.concatenate([np.zeros(nv + 6), -e.ravel() * root]))
+    return x[:nv] / np.sqrt(stiffness), x[nv + 6 :].reshape(n, 6) * root
+
+
+def stiff(cell: RobotCell, rng: np.random.Generator) -> Array:
+    return rng.uniform(5e3, 1e4, cell.nv)
+
+
+def test_the_object_settles_where_the_elastic_energy_is_least(cell: RobotCell, rng: np.random.Generator) -> None:
+    q, stiffness = regular(cell, rng), stiff(cell, rng)
+    model = StressModel(cell, grasp_at(cell, q), stiffness=stiffness)
+    q_command = pin.integrate(cell.model, q, rng.uniform(-1e-3, 1e-3, cell.nv))
+    stress = model.estimate(q_command)
+    O = model.grasp.carried(CellState(cell, q_command))
+    e = np.array([pin.log6(O[0].actInv(o)).vector for o in O])
+    expected = settled(cell, q_command, O[0], e, stiffness)[1]
+    scale = np.abs(expected).max()
+    np.testing.assert_allclose(stress.wrenches, expected, atol=1e-6 * scale)
+    np.testing.assert_allclose(stress.wrenches.sum(axis=0), 0.0, atol=1e-8 * scale)
+
+
+def test_servos_show_the_wrenches_that_bend_them(cell: RobotCell, rng: np.random.Generator) -> None:
+    """From torques Σ_k B_kᵀ w_k of what arms share; and by the watch, in world axes, at rest."""
+    q, stiffness = regular(cell, rng), stiff(cell, rng)
+    grasp = grasp_at(cell, q)
+    R = grasp.carried(CellState(cell, q))[0]
+    wrenches = rng.uniform(-1.0, 1.0, (len(cell), 6)) * [20.0, 20.0, 20.0, 2.0, 2.0, 2.0]
+    torque = dense(cell, q, R).T @ wrenches.ravel()
+    model = StressModel(cell, grasp, stiffness=stiffness)
+    np.testing.assert_allclose(model.from_torques(q, torque), wrenches, atol=1e-6)
+    command = pin.integrate(cell.model, q, torque / stiffness)
+    np.testing.assert_allclose(model.from_servos(command, q), wrenches, atol=1e-6)
+    watch = StressWatch(cell, grasp, stiffness=stiffness, delay=0.0, filter_time=0.0)
+    watch.read(q, command, 1e-3)
+    np.testing.assert_allclose(watch.forces, np.linalg.norm(wrenches[:, :3], axis=1), rtol=0.01)
+
+
+def test_the_arm_that_hangs_behind_is_found(cell: RobotCell, rng: np.random.Generator) -> None:
+    """Its own joints' targets stay 0.5 mm behind; all arms settle where the energy is least."""
+    found = 0
+    for _ in range(8):
+        q, stiffness = regular(cell, rng), stiff(cell, rng)
+        grasp = grasp_at(cell, q)
+        R = grasp.carried(CellState(cell, q))[0]
+        A, k = dense(cell, q, R), int(rng.integers(len(cell)))
+        own = np.arange(cell.v_slices[k].start, cell.v_slices[k].stop)
+        twist = np.concatenate([rng.normal(size=3), 0.3 * rng.normal(size=3)])
+        twist *= 5e-4 / np.linalg.norm(twist[:3])
+        behind = np.zeros(cell.nv)  # how far the target of each servo is behind the command
+        behind[own] = np.linalg.lstsq(A[6 * k : 6 * k + 6, own], twist, rcond=None)[0]
+        bent, _ = settled(cell, q, R, -(A @ behind).reshape(-1, 6), stiffness)
+        measured = pin.integrate(cell.model, q, bent - behind)
+        watch = StressWatch(cell, grasp, stiffness=stiffness, delay=0.0, filter_time=0.0)
+        for t in (-2.0, -1.0, 0.0):  # it moved along the way on which it hangs behind
+            watch.read(pin.integrate(cell.model, measured, t * behind), pin.integrate(cell.model, q, t * behind), 0.1)
+        for _ in range(4):
+            watch.read(measured, q, 0.1)
+        assert watch.behind in (k, -1)  # −1: its wrench is no large part of all
+        if watch.behind == k:
+            found += 1
+            assert watch.gap == pytest.approx(5e-4, rel=0.05)
+    assert found >= 3
+
+
+def test_motions_of_grasps_cause_the_wrenches_of_the_grip(cell: RobotCell, rng: np.random.Generator) -> None:
+    """What the grasps' motions do by :func:`of_grip` is the least energy; a press makes the wrenches that it says."""
+    q, stiffness = regular(cell, rng), stiff(cell, rng)
+    grasp = grasp_at(cell, q)
+    chain = Chain(cell, grasp)
+    R = chain.carried(q)[0]
+    chain.evaluate(q, about=R.translation)
+    turn = for_twists(R.rotation)
+    own = turn.T @ chain.compliances(1.0 / stiffness) @ turn
+    shared = chain.shared_compliance(1.0 / stiffness, turn)
+    assert shared is not None
+    G, e = of_grip(own, shared), 1e-4 * rng.normal(size=(len(cell), 6))
+    expected = settled(cell, q, R, e, stiffness)[1]
+    np.testing.assert_allclose((G @ e.ravel()).reshape(-1, 6), expected, atol=SOFT * np.abs(expected).max())
+    yielded = (whole_compliance(own, shared) @ expected.ravel()).reshape(-1, 6)
+    np.testing.assert_allclose(servo_wrenches(own, yielded, shared), expected, atol=SOFT * np.abs(expected).max())
+    for ways in PressPlan(grasp, own, shared).ways:
+        pressed = (G @ ways.ravel()).reshape(-1, 6)  # they cancel, so nothing moves the object:
+        np.testing.assert_allclose(pressed.sum(axis=0), 0.0, atol=1e-6)
+        moved = (whole_compliance(own, shared) @ pressed.ravel()).reshape(-1, 6)
+        np.testing.assert_allclose(moved, ways, atol=SOFT * np.abs(ways).max())
