@@ -12,6 +12,7 @@ import pinocchio as pin
 
 from coopqp.checks import ArrayLike, as_floats, as_scalar
 from coopqp.errors import InvalidInputError
+from coopqp.native.constants import WAY_HEAD
 from coopqp.paths.elbows import Elbows
 from coopqp.paths.time_law import TimeLaw
 from coopqp.spatial import Array
@@ -172,7 +173,8 @@ class JointPiece:
         """As numbers for the compiled core, of arm number ``arm``: see ``ways.cpp``."""
         way, straight = self.way, self.way.speeds is None
         speeds = np.zeros_like(way.rows) if way.speeds is None else way.speeds
-        head = [arm, self.start, self.end, self.origin, self.sense, self.begins, len(way.rows), straight]
+        head = np.empty(WAY_HEAD)
+        head[:] = [arm, self.start, self.end, self.origin, self.sense, self.begins, len(way.rows), straight]
         return np.concatenate([head, way.clocks, way.rows.ravel(), speeds.ravel()])
 
     def section(self, begin: float, sense: int) -> JointPiece:

@@ -63,7 +63,7 @@ def test_every_reason_has_a_cause() -> None:
     named = {name: CAUSES[code] for code, name in enumerate(layout.REASONS) if name != "NO_REASON"}
     inputs = {
         "BAD_DT", "NOT_FINITE", "OFF_CIRCLE", "JUMPED", "PATH_FAILED", "PATH_JUMPS", "LOOK_AHEAD_FAILED",
-        "CONSTRAINT_FAILED",
+        "CONSTRAINT_FAILED", "OFF_WAY",
     }  # fmt: skip
     apart = {
         "OUT_OF_STEP_BY",

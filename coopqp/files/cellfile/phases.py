@@ -82,16 +82,14 @@ class SlidesTable(Table):
 
 
 class FollowsJointsTable(Table):
-    """The arm does not hold the object, and follows a way of its joints. They rest at each row without speeds."""
+    """The arm does not hold the object, and follows a way of its joints."""
 
     kind: Literal["follows_joints"]
     positions_deg: Rows | None = Field(
         default=None, description="rows of joint positions; the first is where the arm is"
     )
     positions_rad: Rows | None = Field(default=None, description="the same in radians")
-    speeds_rad_per_s: Rows | None = Field(
-        default=None, description="speeds of the joints at each row, as `coopqp plan` writes them; else they rest there"
-    )
+    speeds_rad_per_s: Rows | None = Field(default=None, description="speeds at each row; without they rest there")
     durations_s: Annotated[list[Seconds], Len(1, 1000)] = Field(description="duration of each way at full rate")
 
     @model_validator(mode="after")
