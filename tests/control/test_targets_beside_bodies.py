@@ -8,8 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from coopqp import Clearance, CollisionScene, QPController, Rank
-from coopqp.constraints.rate import Knot
+from coopqp import Clearance, CollisionScene, Knot, QPController, Rank
 from coopqp.model import CellState
 from coopqp.native import available_kernels
 from coopqp.scenarios import elbow_and_knob, plate_and_post

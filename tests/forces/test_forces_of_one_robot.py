@@ -9,9 +9,8 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from coopqp import Grasp, QPController, QPOptions, Status, SupervisionOptions
+from coopqp import Grasp, QPController, QPOptions, Status, SupervisionOptions, inverse_kinematics
 from coopqp.forces import ForceController, internal_wrenches
-from coopqp.model.inverse_kinematics import inverse_kinematics
 from coopqp.scenarios import Scenario, torso_lift, two_on_a_rail
 from coopqp.simulation import Disturbances, PhysicsPlant, misplaced
 from coopqp.simulation.engine import box_payload
