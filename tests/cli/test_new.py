@@ -19,6 +19,7 @@ def _in_an_empty_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None
     monkeypatch.chdir(tmp_path)
 
 
+@pytest.mark.slow
 def test_two_arms_by_name_give_a_certified_file_with_a_start_and_a_picture(capsys: pytest.CaptureFixture[str]) -> None:
     assert cli.main(["new", "pair", "--arm", "rx90l", "--arm", "arm7", "--out", "made"]) == 0
     out = capsys.readouterr().out

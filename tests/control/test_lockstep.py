@@ -574,6 +574,7 @@ def test_both_agree_where_a_group_evades_a_body() -> None:
     Pair(*made, same=DISTURBED).run(620)
 
 
+@pytest.mark.slow
 @pytest.mark.core
 def test_both_are_led_as_the_check_proves_it() -> None:
     """The lift's place along the path is that of the plan, with acceleration limits and without."""

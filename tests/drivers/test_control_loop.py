@@ -106,6 +106,7 @@ def _resume(robots, loop):
     loop.resume()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("says", [Condition.RUNNING, Condition.PROTECTIVE])
 def test_the_others_go_back_to_an_arm_that_stops_and_on_by_hand(cell, lift, says):
     run = drive(cell, lift, (0.0,) * 3, events=[(0.7, _halt(1, says)), (2.2, _release(1)), (2.4, _resume)])
@@ -148,6 +149,7 @@ def test_states_that_are_of_no_use_are_told_from_none(cell, lift):
     assert "no state of use (positions of shape (3,) for 6 joints)" in run.report.reason
 
 
+@pytest.mark.slow
 def test_operators_calls_are_made_between_periods(cell, lift):
     seen = []
 

@@ -106,6 +106,7 @@ def _resume(robots, loop):
     loop.resume()
 
 
+@pytest.mark.slow
 def test_a_robot_slower_than_told_slows_the_object():
     s = _led("torso_lift", 4.0)
     free = drive(s.cell, s, (0.0,), dt=_DT)
@@ -119,6 +120,7 @@ def test_a_robot_slower_than_told_slows_the_object():
     _kept(run)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("says", [Condition.RUNNING, Condition.PROTECTIVE])
 @pytest.mark.parametrize(("name", "urdf"), [("torso_lift", "lift2"), ("two_on_a_rail", "rail2")])
 def test_after_a_stop_the_robot_goes_on_by_hand(name, urdf, says):
@@ -145,6 +147,7 @@ def test_a_robot_that_is_silent_ends_the_run():
     _kept(run)
 
 
+@pytest.mark.slow
 def test_the_lift_and_its_arms_may_have_drivers_of_their_own():
     """The lift has a slow servo; an arm stops, and the lift and the other arm go back to it."""
     s = _led("torso_lift", 4.0)
@@ -184,6 +187,7 @@ def _tower():
     return Scenario("tower", cell, grasp, check.led_path(), check.q_start, dt=_DT)
 
 
+@pytest.mark.slow
 def test_a_robot_and_an_arm_beside_it_wait_for_each_other():
     s = _tower()
     assert driver_names(s.cell) == ("tower", "left", "right", "east")

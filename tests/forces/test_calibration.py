@@ -163,6 +163,7 @@ def test_residuals_of_noise_alone_have_unit_variance(paper: Scenario, rng: np.ra
 # -- what comes back ---------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", [0, 1, 2])
 def test_tilts_about_two_axes_determine_all_bases_and_grips(
     calibrated: Callable[..., Case], paper: Scenario, seed: int
@@ -204,6 +205,7 @@ def test_a_model_that_fits_stays_as_it_is(paper: Scenario) -> None:
         np.testing.assert_allclose([arm.base, arm.grip], 0.0, atol=1e-7)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("motion", [two_axes, one_axis])
 def test_noise_corrects_nothing(
     paper: Scenario, motion: Callable[..., list[pin.SE3]], rng: np.random.Generator
@@ -237,6 +239,7 @@ def slipping(paper: Scenario, size: float, rng: np.random.Generator) -> Array:
     return q + rng.uniform(-NOISE, NOISE, q.shape)
 
 
+@pytest.mark.slow
 def test_a_slip_is_told(paper: Scenario, rng: np.random.Generator) -> None:
     """Bases and grips cannot explain both parts, though the noise hides each sample."""
     size = 3e-4

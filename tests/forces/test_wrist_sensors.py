@@ -74,6 +74,7 @@ def turned(degrees: float) -> Array:
     return np.asarray(pin.exp3(np.deg2rad(degrees) * np.array([0.0, 1.0, 0.0])))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("sensor", "said"),
     [
@@ -92,6 +93,7 @@ def test_what_is_wrong_with_a_sensor_is_found(sensor: dict[str, Any], said: str)
     assert [f.fine for f in judgement.findings] == [True, False, True], judgement.explain()
 
 
+@pytest.mark.slow
 def test_what_noise_leaves_of_dead_torques_is_no_torque() -> None:
     """A gain of 1e-4 made 1 N·m of noise a load of 10 kN·m, and the other sensors read 94 N too much."""
     for gain in (1e-4, 1e-2):
@@ -100,6 +102,7 @@ def test_what_noise_leaves_of_dead_torques_is_no_torque() -> None:
         assert "its torques are dead" in judgement.explain()
 
 
+@pytest.mark.slow
 def test_swapped_sensors_are_found_and_right_ones_are_right() -> None:
     swap = {"slave_1": WristSensor(reads="slave_2"), "slave_2": WristSensor(reads="slave_1")}
     assert [f.sits_at for f in found(swap, 2).findings] == ["master", "slave_2", "slave_1"]
@@ -109,6 +112,7 @@ def test_swapped_sensors_are_found_and_right_ones_are_right() -> None:
     assert right.explain() == "all sensors are right"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("lead", [0.0, 0.032, 0.3])
 def test_damping_makes_no_arm_stiffer(lead: float) -> None:
     """Servos of a tenth of their stiffness, with damping for all of it, lead by 0.3 s: they had been 27 % stiffer."""
@@ -118,6 +122,7 @@ def test_damping_makes_no_arm_stiffer(lead: float) -> None:
     assert fit.lead == pytest.approx(lead, abs=0.1 * lead + 0.02)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("arm", range(3))
 @pytest.mark.parametrize("factor", slow_but_first([0.3, 3.0]))
 def test_an_arm_that_is_softer_than_told_is_no_wrong_sensor(arm: int, factor: float) -> None:

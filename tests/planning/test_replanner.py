@@ -87,6 +87,7 @@ def run(cell: Any, controller: QPController, replanner: Replanner, *, place: pin
     return Run(rates, statuses, least, step.finished, end, chain)
 
 
+@pytest.mark.slow
 @pytest.mark.skipif("compiled" not in available_kernels(), reason="one search takes longer than the way ahead")
 def test_the_object_goes_round_a_body_in_its_way_without_a_stop(cell: Any) -> None:
     controller = controller_of(cell)
@@ -103,6 +104,7 @@ def test_the_object_goes_round_a_body_in_its_way_without_a_stop(cell: Any) -> No
     assert max(abs(b - a) for a, b in itertools.pairwise(found.rates)) < 0.2
 
 
+@pytest.mark.slow
 def test_a_body_beside_the_way_changes_nothing(cell: Any) -> None:
     controller = controller_of(cell)
     replanner = Replanner(controller, cell[2], simulated=True)
@@ -112,6 +114,7 @@ def test_a_body_beside_the_way_changes_nothing(cell: Any) -> None:
     assert controller.path is cell[3]
 
 
+@pytest.mark.slow
 def test_where_the_goal_is_taken_the_object_stops_clear_and_the_body_is_named(cell: Any) -> None:
     controller = controller_of(cell)
     replanner = Replanner(controller, cell[2], simulated=True)

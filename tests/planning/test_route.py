@@ -319,6 +319,7 @@ def test_corners_are_rounded_off_within_their_own_distances() -> None:
     assert nearest[1] < 1e-3
 
 
+@pytest.mark.slow
 def test_elbows_go_over_to_others_where_their_least_motion_does_not_get_through() -> None:
     problem = route_shelves.problem(("bottom", "top"))
     cell, scene = problem.cell, problem.scene

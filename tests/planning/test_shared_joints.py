@@ -72,6 +72,7 @@ def test_all_arms_prove_the_same_motion_of_the_lift(low: float, high: float, *, 
     assert violations(check) == 0
 
 
+@pytest.mark.slow
 def test_no_height_is_enough_for_what_the_lift_makes_possible() -> None:
     for height in np.linspace(0.02, 0.58, 5):
         cell, grasp = lift_cell(lower_limits={"lift": height - 1e-3}, upper_limits={"lift": height + 1e-3})
@@ -104,6 +105,7 @@ def test_a_start_is_one_of_all_arms() -> None:
         find_start(cell, grasp, rise(0.2, 1.7, x=3.0))
 
 
+@pytest.mark.slow
 def test_what_is_not_proved_is_not_said_to_be_impossible() -> None:
     cell, grasp = lift_cell()
     check = check_path(cell, grasp, rise(0.2, 1.9))

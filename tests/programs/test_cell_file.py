@@ -279,6 +279,7 @@ def test_what_is_not_looked_at_is_said(tmp_path: Path, capsys: pytest.CaptureFix
     assert said in capsys.readouterr().err
 
 
+@pytest.mark.slow
 def test_a_whole_program_is_planned_from_its_file_and_runs(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """What is written reads back to the same program: phases, contact, gates, and the motions of the tools."""
     pytest.importorskip("toppra")

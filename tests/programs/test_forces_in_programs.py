@@ -160,6 +160,7 @@ def test_limits_hold_and_copies_go_on_through_phases(seed: int, leads: bool) -> 
     assert shifted > 1e-4
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kernel", available_kernels())
 def test_the_sensor_of_an_arm_that_does_not_hold_counts_for_nothing(kernel: str) -> None:
     task = regrasp(seconds=0.8)

@@ -104,6 +104,7 @@ def test_what_a_controller_does_not_take_is_refused() -> None:
         operate(cooperative(paper_lift()), 0)
 
 
+@pytest.mark.slow
 def test_the_command_repeats_and_exports(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     script, record = tmp_path / "script", tmp_path / "run.npz"
     script.write_text(SCRIPT, encoding="utf-8")
