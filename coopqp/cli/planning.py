@@ -92,7 +92,7 @@ def _run(arguments: argparse.Namespace) -> int:
     check_unused((folder / name for name in _FILES), force=arguments.force)
     check_folder(folder)
     with reporter(quiet=arguments.quiet) as report:
-        report.note("finding a start")
+        report.note("reading the cell file")
         run = load_cell_file(arguments.cell)
         _check_accelerations(run, arguments.cell)
         _check_starts(run, arguments.cell, arguments.starts)
