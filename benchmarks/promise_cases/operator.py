@@ -183,10 +183,11 @@ def _beside(runs: int) -> Iterator[Promise]:
         scene = _scene(task)
         hand = Hand(task, constraints=[Clearance(scene)], dt=0.004)
         twist, commands = rng.normal(size=6) * np.repeat([0.2, 0.3], 3), np.empty((500, hand.cell.nq))
+        tremor = rng.normal(size=(500, 6)) * 1e-3  # so that each command asks for another way
         for i in range(500):
             if i % 8 == 0:
                 began = time.thread_time()
-                hand.controller.jog(twist, frame="world")
+                hand.controller.jog(twist + tremor[i], frame="world")
                 times.append(time.thread_time() - began)
             commands[i] = hand.step().q_next
         closest = Closeness(scene).closest(commands, np.linspace(0.0, 2.0, len(commands)))

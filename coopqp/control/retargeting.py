@@ -18,29 +18,26 @@ def object_rests(loop: Any, path: ObjectPath) -> bool:
     return not np.abs(loop.rate * path.twist(loop.clock)).max() > STILL_OBJECT
 
 
-def retarget_motion(loop: Any, path: ServoPath, ramp_time: RampTime, goal: pin.SE3, full: float) -> bool:
+def retarget_motion(loop: Any, path: ServoPath, ramp_time: RampTime, goal: pin.SE3, rate: float) -> bool:
     """Take the way to a target if the first step keeps to its rate and no joint jumps. True if it is taken.
 
-    The way begins at the full rate, or at the present one: then its twist is as much larger. If the object rests the
-    way begins at rest, and so do the joints: self-motion that goes on there has to come to rest before.
+    The way begins at a rate: at the full one, or at the present one, then its twist is as much larger. If the object
+    rests the way begins at rest, and so do the joints: self-motion that goes on there has to come to rest before.
     """
     clock, now, way, memory = loop.clock, loop.rate, path.state(), loop.memory()
     times = ramp_time.at(loop.q, path.pose(clock))
     rests = object_rests(loop, path)
-    if rests and not ramp_time.admits(loop.velocity):
+    if not (ramp_time.admits(loop.velocity) if rests else rate > 0.0):
         return False
-    for rate in (0.0,) if rests else dict.fromkeys((full, min(now, full))):
-        if rests or rate > 0.0:
-            path.set_target(
-                goal, clock=clock, rate=0.0 if rests else now / rate, ramp_times=times, stops=ramp_time.stops
-            )
-            loop.look_ahead_again(rate=rate)
-            if rests:
-                return True
-            kept, change = loop.try_step()
-            if kept >= rate - RATE_TOLERANCE and ramp_time.admits(change):
-                return True
-            path.restore(way)
-            loop.take_path()
-            loop.restore(memory)
+    rate = 0.0 if rests else rate
+    path.set_target(goal, clock=clock, rate=0.0 if rests else now / rate, ramp_times=times, stops=ramp_time.stops)
+    loop.look_ahead_again(rate=rate)
+    if rests:
+        return True
+    kept, change = loop.try_step()
+    if kept >= rate - RATE_TOLERANCE and ramp_time.admits(change):
+        return True
+    path.restore(way)
+    loop.take_path()
+    loop.restore(memory)
     return False

@@ -85,6 +85,8 @@ static Least least_square(const Core *c, double clock, double rate, double dt);
 /* The largest rate below 1 that K admits for a step. `least` is the least K at rate 1, on return at the rate found. */
 static double largest_rate(const Core *c, double clock, double dt, Least *least);
 
+/* Whether K admits a rate for a step already. */
+static int admits_rate(const Core *c, double clock, double dt, double rate);
 /* Whether K may come to admit a rate for a step as more knots become known. */
 static int may_admit(Core *c, double clock, double dt, double rate);
 

@@ -216,6 +216,7 @@ MOST_MINDING = 64  # arms
 
 # -- sizes of the memory -----------------------------------------------------------------------------------------------
 MOST_KNOTS = 1024  # that the look-ahead keeps
+MOST_TRAVELS = 32  # ends of steps that are kept for the trail until it is read
 MOST_JOINTS = 16  # of an arm
 MOST_SHARING = 4  # arms of one group, which share joints,
 MOST_SHARED = 6  # and these joints

@@ -111,7 +111,7 @@ struct Arithmetic {
                           const double *ub, double reach, double *x, double *y, double *work);
     /* Go over to the way to a new target if the rate of its first step need not fall, or where the object rests: 1, with
      * the path in `numbers`; 0 if not yet; −1 if an arm is singular. `full` is the largest rate asked for. */
-    int (*go_over)(Core *c, const double *goal, double speed, double spin, double full, double *numbers, int rows);
+    int (*go_over)(Core *c, const double *goal, double speed, double spin, double rate, double *numbers, int rows);
     /* The relaxation of forces, in its own memory; see relax.cpp and allow.cpp. `wrenches` may be nullptr. */
     Hearing (*relax)(int arms, Minding *m, const double *wrenches, double dt);
     void (*allow)(int arms, Minding *m, double dt);

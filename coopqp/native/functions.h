@@ -137,11 +137,12 @@ static int quiet_knot(Core *c, const double *x, const double *slope, const doubl
 static void preview_reset(Core *c, double clock, int later);
 /* The first knot alone, behind `kept` knots, which stay in the ring: a copy of AHEAD goes on with them. */
 static void preview_try(Core *c, double clock, int kept);
-/* Some more knots, with so many Newton steps left: 1 where further ones are needed for a first step, 0 where not; −1 where
- * that is certain not to keep to a rate. */
+/* Some more knots, with so many Newton steps left: 1 where further ones are needed for a first step to keep to a rate, 0
+ * where not; −1 where that is certain not to keep to it. */
 static int preview_grow(Core *c, double clock, double rate, int *steps);
-/* Largest admissible rate at `clock` for a step of dt. The cause of the proposal says what makes it. */
-static double preview_cap(Core *c, double clock, double dt);
+/* Largest admissible rate at `clock` for a step of dt; 1 where more than `most` is known to be admissible. The cause of
+ * the proposal says what makes it. */
+static double preview_cap(Core *c, double clock, double dt, double most);
 /* Largest rise of the rate near `clock` by further constraints [1/s]. */
 static double preview_rise(const Core *c, double clock, int *joint);
 /* D, the fastest fall of the rate near `clock` with which the joints still follow the path [1/s]; it may be negative. */

@@ -169,6 +169,13 @@ static double largest_rate(const Core *c, double clock, double dt, Least *least)
     return low >= LEAST_RATE ? low : 0.0;
 }
 
+/* Whether K admits a rate for a step, as far as knots are known: it only rises as more become known. */
+static int admits_rate(const Core *c, double clock, double dt, double rate) {
+    const int end = (int)c->ahead->count - 2; /* where the object would rest */
+    if (!(rate <= 1.0) || c->ahead->fresh != 0.0 || end < 0 || !(knot(c, end)->clock >= clock + dt)) return 0;
+    return rate * rate <= least_square(c, clock, rate, dt).square;
+}
+
 /* K is at most what it would be if the object might pass the last knot but one as fast as that alone allows; q″ is not known
  * at the last. A rate needs its square at a clock of the step. */
 static int may_admit(Core *c, double clock, double dt, double rate) {

@@ -34,13 +34,15 @@ Options = _struct(
     "recovery_time fault_from stall_samples stall_share silent_time filter_time dt_low dt_high joint_jump "
     "watches_force force_limit servo_delay apart_hold elbows",
 )
-# Of the state: the loop, the watch with the drift filter and the forces, the look-ahead.
+# Of the state: the loop, the ends of steps that it keeps for the trail, the watch with the drift filter and the forces,
+# the look-ahead.
 Loop = _struct(
     "Loop",
     "clock rate last_dt has_predicted first drifted correcting fault fault_arm fault_a fault_b path_lost away "
     "overridden pause ease quiet_slack quiet_approach quiet_ahead started mismatch chain_held said outdated "
     "shift_asked rate_slope",
 )
+Travels = _struct("Travels", "stride left count")
 Watch = _struct(
     "Watch",
     "samples watch_rate watch_arm silence pressed has_seen past_count past_head far_samples drift_speed drift_since "
@@ -133,7 +135,8 @@ STATE = _fields(
     "slow_forces n; ahead Ahead; ahead_object 12 * n; ahead_shift 6 * n; "
     "kinks MOST_KINKS; seek_low 12; seek_high 12; told_velocity nv; knots Knot * MOST_KNOTS; "
     "knot_positions nv * MOST_KNOTS; knot_slope nv * MOST_KNOTS; knot_curvature nv * MOST_KNOTS; "
-    "knot_bending nv * MOST_KNOTS; knot_edges nv * MOST_KNOTS"
+    "knot_bending nv * MOST_KNOTS; knot_edges nv * MOST_KNOTS; "
+    "travels Travels; travelled (2 + 2 * nv) * MOST_TRAVELS"
 )
 WORK = _fields(
     "proposal Proposal; own_pose 12; near_x nv; near_sin nv; near_cos nv; carried 12 * n; jacobian 6 * nv; pose 12; "

@@ -21,12 +21,16 @@ static void hold_blind(Core *c) {
     if (c->proposal->watch_cap > 0.0) refuse(c, LOOK_AHEAD_FAILED, -1, c->loop->clock);
 }
 
-/* Grow the horizon until it reaches far enough, or by that many Newton steps, or questions to a user's path. */
-static void extend_horizon(Core *c, double clock, double dt, int newton_steps, double most_asked) {
+/* Whether K is final along a step. */
+static int is_final(const Core *c, double clock, double dt) { return c->ahead->complete != 0.0 || reaches(c, clock, dt); }
+
+/* Grow the horizon until it reaches far enough, or admits a rate, or by that many Newton steps, or questions to a user's
+ * path. */
+static void extend_horizon(Core *c, double clock, double dt, double rate, int newton_steps, double most_asked) {
     c->asked = 0;
     for (int i = 0; i < newton_steps; i++) {
         leave_behind(c, clock);
-        if (c->ahead->complete != 0.0 || reaches(c, clock, dt) || c->asked >= most_asked) return;
+        if (is_final(c, clock, dt) || admits_rate(c, clock, dt, rate) || c->asked >= most_asked) return;
         const int grown = work_ahead(c);
         if (grown < 0) hold_blind(c);
         if (grown <= 0) return;
@@ -47,8 +51,9 @@ static double most_asked(const Core *c) {
     return own_path(c) ? LEAST_ASKED + maximum(0.0, floor(ASKED_PER_TIME * (c->options->nominal_dt - SHORT_STEP))) : INFINITY;
 }
 
-/* The cap of a step, from a horizon that is grown for it, and the knot that makes it; −1 if none does. */
-static double cap_on_horizon(Core *c, double clock, double dt, int *cause) {
+/* The cap of a step, from a horizon that is grown for it, and the knot that makes it; −1 if none does, or if more than
+ * `most` is admitted before K is final. */
+static double cap_on_horizon(Core *c, double clock, double dt, double most, int *cause) {
     Ahead *a = c->ahead;
     Least least = least_square(c, clock, 1.0, dt);
     *cause = -1;
@@ -57,6 +62,7 @@ static double cap_on_horizon(Core *c, double clock, double dt, int *cause) {
         a->begin_at = a->free_until - steps_to_grow(c) * c->options->nominal_dt;
         return 1.0;
     }
+    if (!is_final(c, clock, dt) && admits_rate(c, clock, dt, most)) return 1.0;
     const double rate = largest_rate(c, clock, dt, &least);
     *cause = least.cause;
     a->ends = knot(c, *cause)->stops;
@@ -81,7 +87,7 @@ static int preview_grow(Core *c, double clock, double rate, int *steps) {
     c->asked = 0;
     swap_grasps(c);
     for (; open && *steps > 0; --*steps) {
-        open = c->ahead->complete == 0.0 && !reaches(c, clock, dt);
+        open = !is_final(c, clock, dt) && !admits_rate(c, clock, dt, rate);
         if (!open || (c->ahead->count > begun && c->ahead->fresh == 0.0)) break; /* K has been found anew */
         const int grown = work_ahead(c);
         if (grown < 0) hold_blind(c);
@@ -96,11 +102,11 @@ static void preview_reset(Core *c, double clock, int later) {
     preview_try(c, clock, 0);
     swap_grasps(c);
     if (c->ahead->count > 0.0 && !later)
-        extend_horizon(c, clock, c->options->nominal_dt, NEWTON_STEPS_AT_START, INFINITY);
+        extend_horizon(c, clock, c->options->nominal_dt, INFINITY, NEWTON_STEPS_AT_START, INFINITY);
     swap_grasps(c);
 }
 
-static double cap_ahead(Core *c, double clock, double dt) {
+static double cap_ahead(Core *c, double clock, double dt, double most) {
     Ahead *a = c->ahead;
     int cause = -1;
     name_cause(c->proposal->cause, NONE, -1, -1);
@@ -116,18 +122,18 @@ static double cap_ahead(Core *c, double clock, double dt) {
         if (clock >= a->begin_at) work_early(c);
         return 1.0;
     }
-    extend_horizon(c, clock, dt, (int)c->options->newton_steps, most_asked(c));
+    extend_horizon(c, clock, dt, most, (int)c->options->newton_steps, most_asked(c));
     if (a->complete == 0.0 && !reaches(c, clock + steps_to_grow(c) * dt, dt) && !c->asked) work_early(c);
     a->ends = 0.0;
-    const double cap = cap_on_horizon(c, clock, dt, &cause);
+    const double cap = cap_on_horizon(c, clock, dt, most, &cause);
     if (cause >= 0) c->proposal->cause = knot(c, cause)->cause;
     return cap > 0.0 ? cap : 0.0;
 }
 
-static double preview_cap(Core *c, double clock, double dt) {
+static double preview_cap(Core *c, double clock, double dt, double most) {
     if (c->ahead->growing == 0.0) take_grasps(c);
     swap_grasps(c);
-    const double cap = cap_ahead(c, clock, dt);
+    const double cap = cap_ahead(c, clock, dt, most);
     swap_grasps(c);
     return cap;
 }

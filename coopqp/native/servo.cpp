@@ -1,5 +1,5 @@
 /* Going over to a new target: the way there (coopqp/paths/servo.py defines it), and whether it is taken
- * (QPController._go_over_by_definition). */
+ * (coopqp/control/retargeting.py). */
 
 #include "functions.h"
 
@@ -149,7 +149,7 @@ static int admits(Core *c, const double *numbers, double rate, int needed, int r
     return fmin(c->proposal->cap, c->proposal->new_rate) >= rate - RATE_TOLERANCE && !jumps(c, c->command);
 }
 
-static int go_over(Core *c, const double *goal, double speed, double spin, double full, double *numbers, int rows) {
+static int go_over(Core *c, const double *goal, double speed, double spin, double rate, double *numbers, int rows) {
     const double clock = c->loop->clock, now = c->loop->rate, *present = c->path_numbers;
     Vector6 twist;
     Way w;
@@ -157,28 +157,24 @@ static int go_over(Core *c, const double *goal, double speed, double spin, doubl
     stay_near(c, c->positions);
     if (!path_pose(c, clock, w.T) || !path_twist(c, clock, twist)) return -1;
     const bool rests = !((now * twist).cwiseAbs().maxCoeff() > STILL_OBJECT);
-    if (rests && jumps(c, nullptr)) return 0; /* self-motion goes on where the object rests; the new way begins at rest */
+    if (rests ? jumps(c, nullptr) : !(rate > 0.0)) return 0; /* at rest self-motion has to end before the new way begins */
+    if (rests) rate = 0.0;
     const Ahead ahead = *c->ahead;
     const Loop loop = *c->loop;
-    for (int tries = 0; tries < (rests ? 1 : 2); tries++) {
-        const double rate = rests ? 0.0 : tries ? fmin(now, full) : full;
-        if (!rests && (!(rate > 0.0) || (tries && rate == full))) continue;
-        w.twist = (rests ? 0.0 : now / rate) * turned(w.T.R, twist);
-        double *segment = numbers + 4;
-        if (!way_to(c, &w, clock, segment)) return -1;
-        numbers[0] = c->duration, numbers[1] = numbers[2] = 1.0, numbers[3] = clock + segment[19];
-        const int taken = admits(c, numbers, rate, !rests, rows);
-        const Loop now_quiet = *c->loop; /* regions that are known now */
-        *c->loop = loop;
-        c->loop->quiet_ahead = now_quiet.quiet_ahead;
-        c->loop->quiet_slack = now_quiet.quiet_slack, c->loop->quiet_approach = now_quiet.quiet_approach;
-        if (taken > 0) {
-            c->loop->rate = rate, c->loop->rate_slope = 0.0, c->ahead->kept = 0.0;
-            return 1;
-        }
+    w.twist = (rests ? 0.0 : now / rate) * turned(w.T.R, twist);
+    double *segment = numbers + 4;
+    if (!way_to(c, &w, clock, segment)) return -1;
+    numbers[0] = c->duration, numbers[1] = numbers[2] = 1.0, numbers[3] = clock + segment[19];
+    const int taken = admits(c, numbers, rate, !rests, rows);
+    const Loop now_quiet = *c->loop; /* regions that are known now */
+    *c->loop = loop;
+    c->loop->quiet_ahead = now_quiet.quiet_ahead;
+    c->loop->quiet_slack = now_quiet.quiet_slack, c->loop->quiet_approach = now_quiet.quiet_approach;
+    if (taken > 0) {
+        c->loop->rate = rate, c->loop->rate_slope = 0.0, c->ahead->kept = 0.0;
+    } else {
         *c->ahead = ahead;
         c->path_numbers = present;
-        if (taken < 0) return -1;
     }
-    return 0;
+    return taken;
 }

@@ -198,6 +198,13 @@ static void ease_wishes(Core *c, double h) {
         *ease = fmin(*ease + change, 1.0);
 }
 
+/* A rate that a step will not exceed, whatever the path ahead allows. */
+static double most_rate(const Core *c, double h) {
+    const double rate = c->loop->rate, most = fmin(c->proposal->watch_cap, fmax(rate_asked(c), rate));
+    const double risen = rate + c->options->rise * h;
+    return rate < 1.0 && risen < 1.0 - RATE_ROUNDING ? fmin(most, risen) : most;
+}
+
 /* The fastest rate that the path ahead, the supervision and the last rate allow, and its cause. */
 static void find_cap(Core *c) {
     Proposal *p = c->proposal;
@@ -207,7 +214,7 @@ static void find_cap(Core *c) {
         c->loop->path_lost = 0.0;
         if (c->looks_ahead) preview_reset(c, c->loop->clock, 1); /* the known horizon is void after the path has failed */
     }
-    if (c->looks_ahead) p->cap = preview_cap(c, c->loop->clock, h);
+    if (c->looks_ahead) p->cap = preview_cap(c, c->loop->clock, h, most_rate(c, h));
     if (accelerates(c) && (!c->looks_ahead || c->loop->correcting != 0.0)) {
         int joint = -1;
         p->keep = brake_share(c, h, &joint);
@@ -578,6 +585,17 @@ static void write_configuration(const Core *c, double *q) {
     }
 }
 
+/* Keep the end of every so many steps for the way back, until it is read: coopqp/control/operator/trail.py. */
+static void keep_travelled(Core *c) {
+    Travels *kept = c->travels;
+    if (kept->stride == 0.0 || --kept->left > 0.0 || kept->count >= MOST_TRAVELS) return;
+    kept->left = kept->stride;
+    double *row = c->travelled + (int)kept->count++ * (2 + 2 * c->joints);
+    row[0] = c->loop->clock, row[1] = c->loop->rate;
+    Vector(row + 2, c->joints, 1) = c->positions;
+    Vector(row + 2 + c->joints, c->joints, 1) = c->velocity;
+}
+
 /* Move the state by the proposed command, and write the record. Returns the status. */
 static Status commit(Core *c) {
     Proposal *p = c->proposal;
@@ -625,6 +643,7 @@ static Status commit(Core *c) {
     write_configuration(c, q);
     chain_watched(c);
     move_on(c, rate, clock_next);
+    keep_travelled(c);
     ease_wishes(c, h);
     write_configuration(c, q_next);
     return status;

@@ -443,11 +443,11 @@ static void start_path(BoundCore &self, double clock, double rate) {
     raise_interrupt(&self);
 }
 
-/* go_over(goal, numbers, speed, spin, full, rows): 1 if the way in `numbers` is taken from now on; see core.h. */
-static int go_over(BoundCore &self, const In &goal, Out &numbers, double speed, double spin, double full, int rows) {
+/* go_over(goal, numbers, speed, spin, rate, rows): 1 if the way in `numbers` is taken from now on; see core.h. */
+static int go_over(BoundCore &self, const In &goal, Out &numbers, double speed, double spin, double rate, int rows) {
     check_fit(goal.size == 12 && numbers.size == 4 + SEGMENT);
     const double *present = self.path_numbers;
-    const int found = self.run<&Arithmetic::go_over>(goal.data, speed, spin, full, numbers.data, rows);
+    const int found = self.run<&Arithmetic::go_over>(goal.data, speed, spin, rate, numbers.data, rows);
     if (found > 0)
         self.way_array = std::move(numbers);
     else

@@ -214,6 +214,10 @@ class ServoPath(ObjectPath):
         end = self._since + self._way.duration
         return end if clock < end - 1e-9 else self.duration
 
+    def straight_for(self, clock: float) -> float:
+        """How much longer the way is straight before its speed falls towards its end [s]."""
+        return self._since + self._way.duration - self._way.end - clock
+
     def pose(self, clock: float) -> pin.SE3:
         """T_world_object at ``clock`` [s]."""
         return self._way.pose(clock - self._since)

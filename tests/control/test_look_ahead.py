@@ -16,6 +16,7 @@ from coopqp import LimitKind, QPController, QPOptions, WaypointPath, plan
 from coopqp.control.lookahead.closed_chain import ClosedChainAhead
 from coopqp.control.lookahead.horizon import Horizon
 from coopqp.control.lookahead.preview import PathPreview
+from coopqp.control.step.rate_cap import RateCap
 from coopqp.model.chain import Chain
 from coopqp.model.inverse_kinematics import newton
 from coopqp.paths import TimeLaw
@@ -385,3 +386,32 @@ def test_nearly_every_knot_of_a_plan_takes_one_newton_step(monkeypatch: pytest.M
         controller.step()
     assert done["knots"] > 20
     assert done["steps"] < 1.3 * done["knots"]
+
+
+def test_a_step_that_looks_no_further_than_it_needs_is_the_same(monkeypatch: pytest.MonkeyPatch) -> None:
+    """K only rises as more becomes known: where it admits all that a step may do, more changes nothing."""
+    task = paper_lift()
+    cell = task.cell.with_limits(acceleration=5.0)
+
+    def run() -> tuple[Array, int]:
+        controller = QPController(cell, task.grasp, task.path, dt=DT, options=QPOptions(kernel="plain"))
+        controller.reset(task.q_start)
+        q, known = [], 0
+        for i in range(260):
+            if i == 40:
+                controller.set_override(0.3)
+            if i == 100:
+                controller.set_override(1.0)
+            if i in (140, 146):
+                (controller.pause, controller.resume)[i > 140]()
+            if i >= 180 and i % 8 == 0:
+                controller.jog([0.02, 0.01 * np.sin(0.1 * i), 0.03, 0.0, 0.0, 0.1])
+            q.append(controller.step().q_next)
+            known += len(controller._loop._preview.horizon.knots)
+        return np.array(q), known
+
+    own, few = run()
+    monkeypatch.setattr(RateCap, "_most", lambda *_: np.inf)
+    other, more = run()
+    assert few < more
+    assert np.abs(own - other).max() < 1e-12

@@ -446,9 +446,50 @@ def test_a_long_run_keeps_few_knots() -> None:
     assert trail is not None
     q, rng = controller.commanded, np.random.default_rng(0)
     for i in range(100_000):
-        if trail.due():
+        if i % trail.stride == 0:
             trail.note(1e-2 * i, q, rng.normal(size=controller.cell.nv), 1.0)
     assert 500 < len(trail) <= 1024
+
+
+def test_the_trail_is_the_same_in_both_kernels() -> None:
+    trails = []
+    for kernel in KERNELS:
+        controller = lift(kernel, dual_arm7)
+        steps(controller, 150)
+        controller.reverse(0.2)
+        until(controller, Status.PAUSED)
+        controller.forward()
+        steps(controller, 60)
+        operator = copy.copy(controller)._operator  # a copy has all of it
+        assert operator.trail is not None
+        clocks, x = (np.array([knot[i] for knot in operator.trail._knots]) for i in (0, 1))
+        assert (np.diff(clocks) > 0.0).all()
+        trails.append((clocks, x))
+    assert len(trails[0][0]) > 15
+    for ours, theirs in zip(trails[0], trails[-1], strict=True):
+        assert ours == pytest.approx(theirs, abs=1e-9)
+
+
+@fast
+def test_a_command_that_repeats_the_last_one_takes_no_new_way(kernel: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    controller = lift(kernel)
+    done = steps(controller, 100)
+    operator, ways = controller._operator, []
+    go_over = operator.go_over
+    monkeypatch.setattr(operator, "go_over", lambda *way: ways.append(way) or go_over(*way))
+    twist = np.array([0.03, 0.0, 0.02, 0.0, 0.0, 0.1])
+    for i in range(300):
+        if i % 5 == 0:
+            controller.jog(twist, frame="world")
+        done.append(controller.step())
+    taken = len(ways)
+    assert taken <= 6  # 60 commands in 1.5 s
+    first, last = (controller._held_at(done[i].q) for i in (-100, -1))
+    went = last.translation - first.translation
+    assert went == pytest.approx(99 * DT * twist[:3], abs=1e-6)  # at full speed all the time
+    controller.jog(-twist, frame="world")
+    assert len(ways) == taken + 1
+    kept(controller, done)
 
 
 def test_a_recording_of_back_and_hand_is_in_order() -> None:

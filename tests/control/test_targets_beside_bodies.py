@@ -70,7 +70,7 @@ def test_the_core_takes_the_ways_that_the_definition_takes(
 def _by_hand(
     make: Any, seed: int, watch: Callable[[QPController, Clearance], None], *, steps: int = 160
 ) -> tuple[QPController, Clearance]:
-    """A run by hand beside a body, from where ``watch`` is called on."""
+    """A run by a hand that trembles, beside a body, from where ``watch`` is called on."""
     task, rng = make(), np.random.default_rng(seed)
     cell = task.cell.with_limits(acceleration=5.0)
     clearance = Clearance(CollisionScene.of(task, cell=cell, margin=0.02))
@@ -80,7 +80,7 @@ def _by_hand(
     twist = rng.normal(size=6) * np.repeat([0.2, 0.3], 3)
     for i in range(steps):
         if i % 8 == 0:
-            controller.jog(twist, frame="world")
+            controller.jog(twist + 1e-3 * rng.normal(size=6), frame="world")
         controller.step()
     return controller, clearance
 
@@ -139,21 +139,21 @@ def test_a_command_that_joints_forbid_looks_at_few_knots() -> None:
     knots: list[int] = []
 
     def watch(controller: QPController, clearance: Clearance) -> None:
-        core, jog = clearance._native[1].stopping, controller.jog
-        asked = [0]
+        core, operator = clearance._native[1].stopping, controller._operator
+        attempt, asked = operator.attempt, [0]
 
         def counted(slot: int) -> int:
             asked[0] += 1
             return core(slot)
 
-        def jogs(*arguments: Any, **more: Any) -> None:
+        def attempts() -> None:
             asked[0] = 0
-            jog(*arguments, **more)
-            if controller._operator.wanted is not None:
+            attempt()
+            if operator.wanted is not None:
                 knots.append(asked[0])
 
         controller._loop._core.bind(stopping=counted)
-        controller.jog = jogs  # type: ignore[method-assign]
+        operator.attempt = attempts  # type: ignore[method-assign]
 
     _by_hand(plate_and_post, 2, watch, steps=400)
     assert len(knots) > 10

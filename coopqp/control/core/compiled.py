@@ -259,7 +259,7 @@ class CompiledLoop:
         kept.quiet_ahead = loop.quiet_ahead
         self.at["loop"][:] = np.frombuffer(kept)
 
-    def retarget_motion(self, path: ServoPath, goal: pin.SE3, full: float) -> bool | None:
+    def retarget_motion(self, path: ServoPath, goal: pin.SE3, rate: float) -> bool | None:
         """Take the way to a new target as :class:`coopqp.QPController` does; None where the definition has to say."""
         if self._guarded.elbows is not None:  # which the core's own numbers lack
             return None
@@ -267,7 +267,7 @@ class CompiledLoop:
         if rows is None:
             return None
         numbers = np.empty(4 + SEGMENT)
-        taken: int = self._core.go_over(_numbers_of(goal), numbers, path.speed, path.spin, full, rows)
+        taken: int = self._core.go_over(_numbers_of(goal), numbers, path.speed, path.spin, rate, rows)
         if taken > 0:
             path.take(goal, numbers[4:])
         return None if taken < 0 else taken > 0
@@ -289,6 +289,21 @@ class CompiledLoop:
         kept.quiet_slack, kept.quiet_approach = self._loop.quiet_slack, self._loop.quiet_approach
         self.at["loop"][:] = np.frombuffer(kept)
         return None if failed else rows
+
+    def keep_travels(self, stride: int, *, anew: bool) -> None:
+        """Keep the end of every so many steps from now on, as the plain loop does."""
+        kept = self._memory.travels
+        kept.stride = stride
+        if anew:
+            kept.left, kept.count = stride, 0.0
+
+    def travels(self) -> list[tuple[float, float, Array, Array]]:
+        """What was kept since the last time, as in the plain loop."""
+        kept, nv = self._memory.travels, self.cell.nv
+        count, width = int(kept.count), 2 + 2 * nv
+        kept.count = 0.0
+        rows = self.at["travelled"][: count * width].copy().reshape(count, width)
+        return [(row.item(0), row.item(1), row[2 : 2 + nv], row[2 + nv :]) for row in rows]
 
     def try_step(self) -> tuple[float, Array]:
         """σ that a step from here keeps, and the change of velocity, as in the plain loop."""

@@ -51,8 +51,9 @@ class Memory:
         joints = (np.array(x, dtype=float) for x in (*_arms(chain), *shared, cell.position_index, cell.continuous))
         self.core: Any = native.Core(*joints, cell.nq, unknowns, past, MOST_ROWS, plain)
         self.at: dict[str, Array] = self.core.fields()
-        self.options, self.loop, self.proposal = (
-            layout.STRUCTS[name.capitalize()].from_buffer(self.at[name]) for name in ("options", "loop", "proposal")
+        self.options, self.loop, self.travels, self.proposal = (
+            layout.STRUCTS[name.capitalize()].from_buffer(self.at[name])
+            for name in ("options", "loop", "travels", "proposal")
         )
         self.knots = (layout.Knot * MOST_KNOTS).from_buffer(self.at["knots"])
 

@@ -103,6 +103,14 @@ class Horizon:
         knots, self.known, self._fresh, self.complete = memory
         self.knots = deque(knots)
 
+    def admits(self, clock: float, dt: float, rate: float) -> bool:
+        """Whether K admits a rate for a step already: it only rises as more knots become known."""
+        if rate > 1.0 or self._fresh or len(self.knots) < 2:
+            return False
+        if self.knots[-2].clock < clock + dt:  # there the object would rest
+            return False
+        return rate * rate <= self.least(clock, rate, dt).square
+
     # -- from knot to knot ---------------------------------------------------------------------------------------
 
     def push(self, knot: GridPoint) -> None:

@@ -90,10 +90,10 @@ class PathPreview:
         self._free_until = -np.inf  # clock until which the rate is known to be free
         self.ends, self.trouble = False, ""
 
-    def reset(self, q: Array, clock: float, *, later: bool = False) -> None:
+    def reset(self, q: Array, clock: float, *, later: bool = False, rate: float = math.inf) -> None:
         """Start at a configuration on (or near) the path, and look ahead as far as the first step needs.
 
-        With ``later`` that is left to the steps.
+        With ``later`` that is left to the steps; with a rate as far as the first step needs to keep that.
         """
         self._take_grasps()
         self.horizon.clear()
@@ -106,7 +106,7 @@ class PathPreview:
             self.trouble = str(trouble)
             return
         if not later:
-            self._extend(clock, self._dt, NEWTON_STEPS_AT_START, math.inf)
+            self._extend(clock, self._dt, rate, NEWTON_STEPS_AT_START, math.inf)
 
     @property
     def jump(self) -> tuple[float, float] | None:
@@ -150,8 +150,11 @@ class PathPreview:
 
     # -- what is ahead -------------------------------------------------------------------------------------------
 
-    def cap(self, clock: float, dt: float) -> tuple[float, BindingLimit | None]:
-        """Largest admissible rate σ at ``clock`` for a step of ``dt``, and its cause if it is below 1."""
+    def cap(self, clock: float, dt: float, most: float = math.inf) -> tuple[float, BindingLimit | None]:
+        """Largest admissible rate σ at ``clock`` for a step of ``dt``, and its cause if it is below 1.
+
+        1 if more than ``most`` is admissible before K is final: what the step will not exceed for other reasons.
+        """
         self.trouble = ""
         if self.no_horizon:
             return 1.0, None
@@ -165,7 +168,7 @@ class PathPreview:
             if clock >= self._growth.begin_at:
                 self._growth.step()
             return 1.0, None
-        self._extend(clock, dt, self.options.newton_steps, self._most_asked)
+        self._extend(clock, dt, most, self.options.newton_steps, self._most_asked)
         needs = not self.horizon.complete and not self.horizon.reaches(clock + self._ahead_of_need * dt, dt)
         if needs and not self._path.asked:  # else a user's path was asked enough in this step
             self._growth.step()
@@ -174,6 +177,8 @@ class PathPreview:
         if least.square >= 1.0:
             self._free_until = self.horizon.free_until(2.0 * max(dt, self._dt))
             self._growth.begin_at = self._free_until - self._ahead_of_need * self._dt
+            return 1.0, None
+        if not self._settled(clock, dt) and self.horizon.admits(clock, dt, most):
             return 1.0, None
         rate, cause = self.horizon.largest_rate(clock, dt, least)
         self.ends = cause.stops
@@ -236,15 +241,22 @@ class PathPreview:
         q = pin.integrate(model, here.q, 0.5 * (here.slope + slope) * (share * span))
         return q, slope
 
-    def _extend(self, clock: float, dt: float, newton_steps: int, most_asked: float) -> None:
-        """Extend the horizon until K is final along a step, by so many Newton steps and calls of a path at most."""
+    def _settled(self, clock: float, dt: float) -> bool:
+        """Whether K is final along a step."""
+        return self.horizon.complete or self.horizon.reaches(clock, dt)
+
+    def _extend(self, clock: float, dt: float, rate: float, newton_steps: int, most_asked: float) -> None:
+        """Extend the horizon until K is final along a step, or admits a rate for it.
+
+        It takes so many Newton steps and calls of a path at most.
+        """
         self._path.asked = 0
         for _ in range(newton_steps):
             self.horizon.leave_behind(clock)
             if (
-                self.horizon.complete
+                self._settled(clock, dt)
                 or self.no_horizon
-                or self.horizon.reaches(clock, dt)
+                or self.horizon.admits(clock, dt, rate)
                 or self._path.asked >= most_asked
             ):
                 return

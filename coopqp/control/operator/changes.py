@@ -18,8 +18,8 @@ from coopqp.paths.servo import ServoPath
 from coopqp.paths.shifted import ShiftedPath, clock_after
 from coopqp.spatial import Array
 
-#: A jog command leads so far ahead [s]; it is renewed or ends long before.
-JOG_AHEAD = 0.5
+#: A jog command leads so far ahead [s], by no larger angle [rad]; it is renewed or ends long before.
+JOG_AHEAD, LARGEST_TURN = 1.0, 3.0
 #: Speed and spin on the way back to the path [m/s, rad/s].
 RETURN_SPEED, RETURN_SPIN = 0.25, 0.5
 #: Speed and spin of a target that streams [m/s, rad/s].
@@ -82,7 +82,7 @@ class Travel(Change):
         sense = 1 if self.to > clock else -1
         if not rests and sense != way.sense:
             return False
-        elbows = operator.trail.back(clock) if sense < 0 and operator.trail is not None else None
+        elbows = operator.way_back() if sense < 0 else None
         to = self.to
         if sense > 0:  # no further than to a shut gate
             shut = [at for at, name in program.gates if name not in operator.opened and at > clock + SAME_CLOCK]
@@ -149,9 +149,15 @@ class Jog(Change):
             held = grasp_at(operator.grasp, operator.way.program, operator.clock)
             R = R @ held.T_object_tool[self.arm].rotation
         v, w = R @ self.twist[:3], R @ self.twist[3:]
+        if operator.jogs_on(np.concatenate([v, w])):
+            return True
         path.speed, path.spin = (float(np.linalg.norm(x)) or 1.0 for x in (v, w))
-        goal = pin.SE3(pin.exp3(JOG_AHEAD * w) @ here.rotation, here.translation + JOG_AHEAD * v)
-        return operator.go_over(path, goal)
+        ahead = min(JOG_AHEAD, LARGEST_TURN / path.spin)
+        goal = pin.SE3(pin.exp3(ahead * w) @ here.rotation, here.translation + ahead * v)
+        taken = operator.go_over(path, goal)
+        if taken:
+            operator.jogged = np.concatenate([v, w])
+        return taken
 
 
 @final

@@ -23,22 +23,27 @@ from coopqp.model.cell import RobotCell
 from coopqp.model.chain import Chain
 from coopqp.model.grasp import Grasp
 from coopqp.model.limits import LimitKind
-from coopqp.native.constants import RATE_ROUNDING, RATE_TOLERANCE, SAME_CLOCK, STILL_OBJECT
+from coopqp.native.constants import MOST_TRAVELS, RATE_ROUNDING, RATE_TOLERANCE, SAME_CLOCK, STILL_OBJECT
+from coopqp.paths.elbows import Elbows
 from coopqp.paths.guarded import GuardedPath
 from coopqp.paths.path import ObjectPath
 from coopqp.paths.section import Section
 from coopqp.paths.servo import ServoPath
+from coopqp.spatial import Array
 
 #: Calls that are remembered until they are read: a recorder reads them in every step, and without one nobody does.
 _MOST_EVENTS = 100
 #: Length of the way to a gate at which the object is already [s].
 _GATE_WAY = 1e-3
+#: The same jog command takes no new way while its old one is straight for so long [s]; twists are the same that differ
+#: by less than this share.
+_JOGS_ON, _SAME_TWIST = 0.5, 1e-9
 #: Steps between two looks at most.
 _MOST_BETWEEN = 1000
 #: Attributes that calls and steps change, beside the trail.
 _VARYING = (
     "way", "wanted", "then", "_override", "paused", "age", "holds_for", "returns", "gear", "clutch", "_left", "_brakes",
-    "looks_in", "_looked", "opened", "_run_time", "_goes_on",
+    "looks_in", "opened", "jogged", "_late", "_run_time", "_goes_on",
 )  # fmt: skip
 _STOPPED = (Status.HOLDING, Status.FAULT)
 
@@ -62,6 +67,7 @@ class Operator:
         age, holds_for: time since the last command by hand, and how long that one holds [s].
         returns: the object is on its way back to the program.
         gear: the belt that the program's clock follows; None without one.
+        jogged: twist in world axes (6,) with which a jog command leads the object; None if none does.
         clutch: the hand that leads the object; None if none is engaged.
         trail: what redundant arms travelled; None if there are none.
         opened: signals that have come since the start; their gates stay open.
@@ -88,8 +94,9 @@ class Operator:
         self.clutch: Clutch | None = None
         self._left: tuple[Way, float] | None = None
         self._brakes = False
-        #: Steps until the next look is due, and between the last one and that.
-        self.looks_in = self._looked = 1
+        self.jogged: Array | None = None
+        self._late = False
+        self.looks_in = 1
         self._longest_dt = dt * options.supervision.dt_range[1]
         redundant = Chain(cell, grasp).redundancy > 0
         self.trail: Trail | None = Trail(cell, dt=dt) if redundant else None
@@ -225,8 +232,9 @@ class Operator:
         self.wanted, self.then, self.returns, self._left = None, None, False, None
         self.way, begin = self.onward(program, clock)
         self.gear = self.clutch = None
+        self._late, self.jogged = False, None
         self.age = math.inf
-        self.looks_in = self._looked = 1
+        self.looks_in = 1
         self._let_go()
         return begin
 
@@ -234,9 +242,28 @@ class Operator:
         """The run begins here."""
         if self.trail is not None:
             self.trail.begin(self.clock, self._loop.positions)
+            self._keep_travels(anew=True)
+
+    def _keep_travels(self, *, anew: bool = False) -> None:
+        """Let the loop keep what is travelled along the program."""
+        if self.trail is not None:
+            self._loop.keep_travels(self.trail.stride if self.way.sense > 0 else 0, anew=anew)
+
+    def _note_travels(self) -> None:
+        """Put what the loop has kept on the trail."""
+        if self.trail is not None and self.way.sense > 0:
+            for clock, rate, x, velocity in self._loop.travels():
+                self.trail.note(self.way.clock_of(clock), x, velocity, rate)
+            self._keep_travels()
+
+    def way_back(self) -> Elbows | None:
+        """The motion of redundant arms back from here; None without them, or where nothing was travelled."""
+        self._note_travels()
+        return None if self.trail is None else self.trail.back(self.clock)
 
     def ask(self, change: Change) -> None:
         """Make a change now, or as soon as it is admissible; it takes the place of one that waits."""
+        waits = self._brakes and self.wanted is not None and self.wanted.by_hand and change.by_hand
         self.returns = False
         if not isinstance(change, Follow):
             self.clutch = None
@@ -249,13 +276,17 @@ class Operator:
                 self.then, self.wanted, self.age = change, None, math.inf
                 self._let_go()
                 return
-        self.wanted = change
-        self.attempt()
+        self.wanted, self._late = change, False
+        if waits:  # the next step makes an attempt from where the last one has failed
+            self.rein()
+        else:
+            self.attempt()
 
     def attempt(self) -> None:
         """Make the change that waits, if it is admissible now; else brake for it."""
         wanted = self.wanted
         assert wanted is not None
+        braked = self._brakes
         self._let_go()
         if not isinstance(wanted, Target) and self._loop.status in _STOPPED:
             return
@@ -263,6 +294,8 @@ class Operator:
             if self.wanted is wanted:
                 self.wanted = None
             self.rein()
+        elif self._late and not braked:
+            return  # the next step tries another rate, from here
         elif self._accelerates or not isinstance(wanted, Target) or object_rests(self._loop, self.way.path):
             self._override, self._brakes = self.override, True
             self.rein()
@@ -319,11 +352,24 @@ class Operator:
 
     # -- what changes do -------------------------------------------------------------------------------------------
 
+    def jogs_on(self, twist: Array) -> bool:
+        """Whether the object goes with a twist in world axes (6,), and goes on so for long enough."""
+        path, was = self.way.path, self.jogged
+        if was is None or not isinstance(path, ServoPath) or path.straight_for(self.loop_clock) < _JOGS_ON:
+            return False
+        return bool(np.abs(twist - was).max() <= _SAME_TWIST * np.abs(was).max())
+
     def go_over(self, path: ServoPath, goal: pin.SE3) -> bool:
-        """Take the way to a target if that is admissible now."""
+        """Take the way to a target if that is admissible now: at the full rate, the next time at the present one."""
         loop, full = self._loop, 0.0 if self._loop.reins[1] else self.override
-        taken = loop.retarget_motion(path, goal, full) if loop.kernel == "compiled" else None
-        return retarget_motion(loop, path, self._ramp_time, goal, full) if taken is None else bool(taken)
+        now, late = loop.rate, self._late
+        rate = min(now, full) if late else full
+        taken = loop.retarget_motion(path, goal, rate) if loop.kernel == "compiled" else None
+        taken = retarget_motion(loop, path, self._ramp_time, goal, rate) if taken is None else bool(taken)
+        self._late = not taken and not late and 0.0 < now < full
+        if taken:
+            self.jogged = None
+        return taken
 
     def take(self, way: Way, clock: float, *, same: bool = False) -> bool:
         """Follow another way from a clock of it on, if the first step along it keeps the object's rate.
@@ -334,6 +380,7 @@ class Operator:
             same: only the program changes, not the path.
         """
         loop, old, rests = self._loop, self.way, self.rests
+        self._note_travels()
         rate, memory = loop.rate, loop.memory()
         if same:
             loop.follow(way.path, way)
@@ -354,7 +401,7 @@ class Operator:
         loop.follow(old.path, old)
         loop.restore(memory)
         self.way = old
-        self.looks_in = self._looked = 1
+        self.looks_in = 1
         return False
 
     def _first_rate(self, way: Way, clock: float) -> float:
@@ -364,10 +411,13 @@ class Operator:
         return 0.0 if paused or motion is None or np.any(motion) else float(override)
 
     def _follow(self, way: Way, clock: float, rate: float) -> None:
+        self._note_travels()
         if way.sense > 0 and self.way.sense < 0 and self.trail is not None:
             self.trail.cut(self.clock, self._loop.positions)
         self.way = way
-        self.looks_in = self._looked = 1
+        self.looks_in = 1
+        self._keep_travels()
+        self.jogged = None
         self._loop.follow(way.path, way)
         self._loop.start_path(clock, rate)
 
@@ -426,7 +476,8 @@ class Operator:
         way, clock = left
         then, self.then = self.then, None
         self.way = way
-        self.looks_in = self._looked = 1
+        self.looks_in = 1
+        self._keep_travels()
         self.rein()
         self._loop.follow(way.path, way)
         self._loop.start_path(clock, 0.0)
@@ -444,12 +495,11 @@ class Operator:
     def look(self, step: ControlStep) -> bool:
         """Note the trail; whether the end of a section is reached. The next look is due before it can be."""
         way, loop, trail = self.way, self._loop, self.trail
-        if trail is not None and way.sense > 0 and trail.due(self._looked):
-            trail.note(way.clock_of(loop.clock), loop.positions, loop.velocity, loop.rate)
+        self._note_travels()
         left = math.inf if way.whole or way.sense == 0 else way.path.duration - loop.clock
-        most = _MOST_BETWEEN if trail is None or way.sense <= 0 else trail.stride
+        most = _MOST_BETWEEN if trail is None else min(_MOST_BETWEEN, MOST_TRAVELS * trail.stride)
         soon = min(left, self._contact_ahead, 1e6)
-        self.looks_in = self._looked = max(1, min(most, int(soon / self._longest_dt)))
+        self.looks_in = max(1, min(most, int(soon / self._longest_dt)))
         if left > 0.0:
             return bool(loop.contact_due)
         if self.waits_for is not None:
@@ -512,6 +562,7 @@ class Operator:
 
     def memory(self) -> dict[str, Any]:
         """All that a copy needs; the way may be copied deeply."""
+        self._note_travels()
         trail = None if self.trail is None else self.trail.copy()
         return {name: getattr(self, name) for name in _VARYING} | {"trail": trail}
 

@@ -33,8 +33,8 @@ class Trail:
 
     def __init__(self, cell: RobotCell, *, dt: float) -> None:
         self._turning = np.flatnonzero(cell.continuous)
+        #: Steps between two knots.
         self._first_stride = self.stride = max(1, round(_BETWEEN / dt))
-        self._left = self.stride
         #: Clock [s], positions and velocities (nv,), path speed σ; no velocities where they are not known.
         self._knots: list[tuple[float, Array, Array | None, float]] = []
         self._last: Array | None = None  # positions as they were given
@@ -44,32 +44,27 @@ class Trail:
 
     def begin(self, clock: float, x: Array) -> None:
         """Start anew at joint positions (nv,)."""
-        self.stride = self._left = self._first_stride
+        self.stride = self._first_stride
         self._last = x.copy()
         self._knots = [(clock, self._last, None, 0.0)]
 
-    def due(self, steps: int = 1) -> bool:
-        """Count steps; whether the end of the last one is a knot."""
-        self._left -= steps
-        return self._left <= 0
-
     def note(self, clock: float, x: Array, velocity: Array, rate: float) -> None:
         """A knot at the end of a step: where the joints are (nv,), with what velocities (nv,), at a path speed σ."""
-        self._left = self.stride
         if self._last is None:
             return self.begin(clock, x)
         x = self._gone_on(self._knots[-1][1], self._last, x)
         if clock - self._knots[-1][0] < _NEAREST:
             clock = self._knots.pop()[0]
-        self._knots.append((clock, x, velocity.copy(), rate))
+        self._knots.append((clock, x, velocity, rate))
         if len(self._knots) > MOST_KEPT:
-            self._knots = [*self._knots[:-1:2], self._knots[-1]]
+            kept = [*self._knots[:-1:2], self._knots[-1]]  # copies, so that what held the others is free
+            self._knots = [(at, q.copy(), None if v is None else v.copy(), sigma) for at, q, v, sigma in kept]
             self.stride *= 2
         return None
 
     def _gone_on(self, before: Array, last: Array, x: Array) -> Array:
         """Positions x that were ``last``, over whole turns from those ``before``."""
-        self._last = x = x.copy()
+        self._last = x
         if not self._turning.size:
             return x
         way, turns = x - last, self._turning
@@ -82,7 +77,7 @@ class Trail:
         if not before:
             return self.begin(clock, x)
         last = before[-1][1]
-        self._knots, self._left = [*before, (clock, self._gone_on(last, last, x), None, 0.0)], self.stride
+        self._knots = [*before, (clock, self._gone_on(last, last, x.copy()), None, 0.0)]
         return None
 
     def back(self, begin: float) -> Elbows | None:

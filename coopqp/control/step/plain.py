@@ -46,6 +46,7 @@ from coopqp.native.constants import (
     FAR_FROM_WAY,
     LEAST_PACE,
     MOST_TIGHTENINGS,
+    MOST_TRAVELS,
     NEGLIGIBLE,
     SAID_APART,
     SAME_CLOCK,
@@ -174,11 +175,23 @@ class PlainLoop:
         """The path ahead has changed; the object moves along it at a rate."""
         if rate is not None:
             self.state.rate, self.state.rate_slope = rate, 0.0
-        self._start_preview()
+        self._start_preview(rate=math.inf if rate is None else rate)
 
-    def _start_preview(self, *, later: bool = False) -> None:
+    def _start_preview(self, *, later: bool = False, rate: float = math.inf) -> None:
         if self._preview is not None:
-            self._preview.reset(self.state.q, self.state.clock, later=later)
+            self._preview.reset(self.state.q, self.state.clock, later=later, rate=rate)
+
+    def keep_travels(self, stride: int, *, anew: bool) -> None:
+        """Keep the end of every so many steps from now on for :meth:`travels`, 0: of none; ``anew``: forget others."""
+        s = self.state
+        s.stride = stride
+        if anew:
+            s.stride_left, s.travelled = stride, []
+
+    def travels(self) -> list[tuple[float, float, Array, Array]]:
+        """What was kept since the last time: clock [s], σ, joint positions and velocities (nv,)."""
+        kept, self.state.travelled = self.state.travelled, []
+        return kept
 
     def try_step(self) -> tuple[float, Array]:
         """Path speed σ of a step from here, and the change of the joints' velocities in it (nv,); nothing is committed.
@@ -548,6 +561,10 @@ class PlainLoop:
         jumped = s.first and not self._box.accelerates
         s.rate_slope, s.rate, s.clock = 0.0 if jumped else (rate - s.rate) / h, rate, clock_next
         s.last_dt, s.first, s.status = h, False, status
+        s.stride_left -= s.stride > 0
+        if s.stride and s.stride_left <= 0 and len(s.travelled) < MOST_TRAVELS:
+            s.stride_left = s.stride
+            s.travelled.append((s.clock, s.rate, self.positions, v))
         s.reins.advance(self.options.blocked_rate, self._rate_cap.slope * h)
         return step
 

@@ -53,7 +53,7 @@ class RateCap:
         cap, keep = 1.0, 1.0
         binding: tuple[BindingLimit, ...] = ()
         if preview is not None:
-            cap, ahead = preview.cap(s.clock, h)
+            cap, ahead = preview.cap(s.clock, h, self._most(s, watch, h))
             if preview.trouble:
                 watch.lower(Watch.holding(preview.trouble))
             if ahead is not None:
@@ -76,6 +76,11 @@ class RateCap:
         if by_override < cap:
             cap, binding = by_override, (OVERRIDE,)
         return cap, binding, keep
+
+    def _most(self, s: LoopState, watch: Watch, h: float) -> float:
+        """A rate that a step will not exceed, whatever the path ahead allows."""
+        most, risen = min(watch.rate_cap, max(s.reins.share, s.rate)), s.rate + self.slope * h
+        return min(most, risen) if s.rate < 1.0 and risen < 1.0 - RATE_ROUNDING else most
 
     def _by_override(self, s: LoopState, h: float, preview: PathPreview | None) -> float:
         """The largest rate by the speed override, which is reached as fast as the joints can follow."""

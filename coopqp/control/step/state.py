@@ -40,6 +40,8 @@ class LoopState:
         latched: keeps the object's measured pose without a jump where other arms hold it than before (6,).
         taken: the clock up to which changes of contact are taken [s].
         started, chain_held: a step was made since the start; the commands had led the arms too far apart in it.
+        stride, stride_left, travelled: the end of every so many steps is kept, 0: of none; after how many the next one
+            is; clock, σ, joint positions and velocities (nv,) of those that were not read.
         first: no step was made yet on this path.
         lost: the path failed in the last step.
         away: distance of the object as the first arm holds it from a user's own path [m]; infinite at its start.
@@ -66,6 +68,9 @@ class LoopState:
     asked_shift: Array | None = None
     latched: Array | float = 0.0
     taken: float = 0.0
+    stride: int = 0
+    stride_left: int = 0
+    travelled: list[tuple[float, float, Array, Array]] = field(default_factory=list)
     started: bool = False
     chain_held: bool = False
     first: bool = True
