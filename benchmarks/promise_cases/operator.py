@@ -314,6 +314,8 @@ def _hardest_stop(rows: Array, after: float) -> float:
     lengths = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(rows, axis=0), axis=1))])
     k = round(after / _DT)
     moves = np.concatenate([[True], np.diff(lengths) > 1e-6])
+    if moves.sum() <= 5:  # it creeps: there is no spline of that
+        return 0.0
     return _least_stop(lengths[moves], rows[moves], lengths[k], (lengths[k + 1] - lengths[k]) / _DT, spaced=5)
 
 

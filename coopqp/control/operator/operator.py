@@ -355,7 +355,10 @@ class Operator:
     def jogs_on(self, twist: Array) -> bool:
         """Whether the object goes with a twist in world axes (6,), and goes on so for long enough."""
         path, was = self.way.path, self.jogged
-        if was is None or not isinstance(path, ServoPath) or path.straight_for(self.loop_clock) < _JOGS_ON:
+        if was is None or self._loop.rate == 0.0:
+            return False
+        assert isinstance(path, ServoPath)
+        if path.straight_for(self.loop_clock) < _JOGS_ON:
             return False
         return bool(np.abs(twist - was).max() <= _SAME_TWIST * np.abs(was).max())
 
