@@ -37,6 +37,7 @@ from coopqp.control.step.rate_cap import OVERRIDE, RateCap
 from coopqp.control.step.state import LoopState, Observed, Proposal
 from coopqp.control.step.velocity_bounds import VelocityBox
 from coopqp.control.step.verdict import away_from_path, cause_of, given_up, lasting, rests, slow_status, too_close
+from coopqp.control.step.views import view_errors
 from coopqp.model.cell import RobotCell
 from coopqp.model.chain import Chain
 from coopqp.model.grasp import Grasp, mean_pose
@@ -269,7 +270,7 @@ class PlainLoop:
         self.reference = pose
         if s.fault:
             watch = Watch(0.0, hold=True, fault=True, arm=s.fault_arm, reason=s.fault, cause=s.fault_cause)
-        seen = Observed(h, pose, carried, self._chain.errors(carried, pose), watch, lost=lost)
+        seen = Observed(h, pose, carried, view_errors(carried, pose, carried[0]), watch, lost=lost)
         self._watch_chain(seen)
         seen.measured = self._measured_error(seen, measured, before)
         gain = min(self.options.path_gain, 1.0 / h)
@@ -330,7 +331,7 @@ class PlainLoop:
         s, watch, held = self.state, seen.watch, seen.carried
         if measured is not None:
             held = self._chain.carried(measured)
-            away = self._chain.errors(held, seen.pose) - seen.errors
+            away = view_errors(held, seen.pose, seen.carried[0]) - seen.errors
             if s.drift is not None and self._motion is not None:
                 s.latched = s.latched + handed(self._shares, shares, away)
             drift, mean = np.zeros(6) if s.drift is None else s.drift, self._mean(away) + s.latched
