@@ -373,7 +373,7 @@ static Outcome settle_again(Core *c, double cap, Outcome outcome, int least) {
 
 /* No look-ahead covers the motion: none has one, or arms that give way have left their path. */
 static int brakes_together(const Core *c) {
-    return !c->looks_ahead || (c->options->leaves_path != 0.0 && accelerates(c) && c->loop->correcting != 0.0);
+    return !c->looks_ahead || gives_way(c);
 }
 
 /* The ranked answer under the cap and the further rows; returns an outcome. */

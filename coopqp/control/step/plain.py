@@ -422,7 +422,9 @@ class PlainLoop:
             else:
                 along = self._along(seen.pose, ahead, s.clock, span)
         if self._brakes_together:
-            further = further.and_also(self._braking.rows(s.q, s.v, h, seen.carried[0].translation))
+            further = further.and_also(
+                self._braking.rows(s.q, s.v, h, seen.carried[0].translation, gives_way=self._gives_way)
+            )
         null_along, null_offset = self._null_space_reference(span, hold=seen.watch.hold)
         if self._chain.apart:
             null_along, null_offset = self._own_ways(null_along, null_offset, span, h, hold=seen.watch.hold)
@@ -442,8 +444,12 @@ class PlainLoop:
     @property
     def _brakes_together(self) -> bool:
         """Whether no look-ahead covers the motion: none has one, or arms that give way have left their path."""
-        leaves = self.constraints.gives_way and self._box.accelerates and self.state.correcting is not None
-        return self._no_horizon or leaves
+        return self._no_horizon or self._gives_way
+
+    @property
+    def _gives_way(self) -> bool:
+        """Whether arms that give way have left their path, under acceleration limits."""
+        return self.constraints.gives_way and self._box.accelerates and self.state.correcting is not None
 
     def _tightened(self, given: StepInput) -> LinearisedAnswer:
         """The answer; again with tighter rows where it violates their constraints."""
