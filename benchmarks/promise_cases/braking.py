@@ -210,7 +210,7 @@ def without_rows(controller: QPController) -> None:
     """
     loop: Any = controller._loop
     if controller.kernel == "plain":
-        loop._braking.rows = lambda *_: loop._no_rows
+        loop._braking.rows = lambda *_, **__: loop._no_rows
     else:
         loop._memory.options.leaves_path = 0.0
 

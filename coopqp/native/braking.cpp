@@ -160,9 +160,14 @@ static void name_brake(const Core *c, int number, double *entry) {
     entry[3] = -1.0;
 }
 
+/* Arms that give way have left their path, under acceleration limits. */
+static bool gives_way(const Core *c) {
+    return c->options->leaves_path != 0.0 && accelerates(c) && c->loop->correcting != 0.0;
+}
+
 /* Add the rows that may bind the next velocities. */
 static void brake_together(Core *c) {
-    const double h = c->proposal->dt;
+    const double h = c->proposal->dt, most_bent = gives_way(c) ? BEND_OFF_PATH : BEND_SHARE;
     const Vector &v = c->velocity;
     Twists bends(c->scratch, 6, c->arms);
     Vector needed(c->scratch + 6 * c->arms, c->joints, 1), nothing(needed + c->joints, c->joints, 1);
@@ -208,11 +213,11 @@ static void brake_together(Core *c) {
         size += G[j] * v[j];
     }
     size = sqrt(size);
-    if (!(used > 0.5 * BEND_SHARE) || !(size > 0.0)) return;
+    if (!(used > 0.5 * most_bent) || !(size > 0.0)) return;
     for (int j = 0; j < c->joints; j++) {
         G[j] /= size;
         reach += fabs(G[j]) * reachable(c, j, h);
     }
-    const double upper = fmax(sqrt(BEND_SHARE / used), 1.0 - h / T) * size;
+    const double upper = fmax(sqrt(most_bent / used), 1.0 - h / T) * size;
     if (reach > upper) add_row(c, -INFINITY, upper, c->arms + c->joints + worst);
 }

@@ -5,9 +5,29 @@
 /* -- errors and corrections ------------------------------------------------------------------------------------------ */
 
 static int errors_at(const Core *c, const Pose *carried, const Pose &T, Twists &errors) {
-    for (int k = 0; k < c->arms; k++)
-        if (!log6(between(T, carried[k]), errors.col(k))) return 0;
+    for (int k = 0; k < c->arms; k++) errors.col(k) = any_log6(between(T, carried[k]));
+    return errors.allFinite();
+}
+
+static int view_errors(const Core *c, const Pose *carried, Twists &errors) {
+    const Pose first = between(*c->pose, c->carried[0]);
+    const Vector6 common = any_log6(first);
+    if (!common.allFinite()) return 0;
+    for (int k = 0; k < c->arms; k++) {
+        if (!log6(from_to(first, between(*c->pose, carried[k])), errors.col(k))) return 0;
+        errors.col(k) += common;
+    }
     return 1;
+}
+
+/* What the first view's errors later are beyond the sum of its errors and of a way from there. */
+static Vector6 bend_of_way(const Vector6 &error, const Vector6 &way) {
+    return any_log6(compose(exp6(way), exp6(error))) - error - way;
+}
+
+/* What the first view's way between errors is beyond their difference. */
+static Vector6 bend_of_errors(const Vector6 &error, const Vector6 &later) {
+    return any_log6(from_to(exp6(error), exp6(later))) - (later - error);
 }
 
 static Vector6 common_error(const Core *c, const Twists &errors) {
@@ -38,6 +58,7 @@ static void corrections(Core *c, double h) {
     const double grasp_gain = fmin(c->options->grasp_gain, 1.0 / h), path_gain = fmin(c->options->path_gain, 1.0 / h);
     const bool asked = asked_to_shift(c), predicted = c->loop->has_predicted != 0.0;
     c->common = common_error(c, c->errors);
+    const Vector6 bend = predicted ? bend_of_errors(c->errors.col(0), c->predicted.col(0)) : Vector6::Zero();
     const Vector6 common_shift = asked ? common_error(c, c->asked_shift) : Vector6::Zero();
     for (int k = 0; k < c->arms; k++) {
         Vector6 e = c->errors.col(k), shift = Vector6::Zero(), foreseen = Vector6::Zero(), before = Vector6::Zero();
@@ -47,7 +68,7 @@ static void corrections(Core *c, double h) {
             e += shift;
             c->grasp.col(k) -= grasp_gain * (shift - common_shift);
         }
-        if (predicted) foreseen = (c->predicted.col(k) - e) / c->loop->last_dt, before = c->foreseen.col(k);
+        if (predicted) foreseen = (c->predicted.col(k) - e + bend) / c->loop->last_dt, before = c->foreseen.col(k);
         c->foresees.col(k) = foreseen;
         c->offsets.col(k) = foreseen + shift / h;
         if (predicted) c->left_over.col(k) = c->offsets.col(k) - before;

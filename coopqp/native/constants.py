@@ -48,7 +48,8 @@ HELD_SHARE = 0.5  # each step to this share of the speed before
 # -- braking together --------------------------------------------------------------------------------------------------
 EDGE_SHARE = 0.8  # share of the accelerations that braking together is planned with, ahead of an edge
 SINGULAR_MARGIN = 0.01  # least singular value of a tool Jacobian that arms keep
-BEND_SHARE = 0.4  # share of the accelerations that the chain's bend may take
+BEND_SHARE = 0.7  # share of the accelerations that the chain's bend may take,
+BEND_OFF_PATH = 0.4  # and off the path, where bodies push
 APPROACH_TIME = 0.05  # an edge is approached no faster than its room over this time [s],
 APPROACH_STEPS = 5.0  # and over this many steps
 GIVES_WAY = 0.1  # how far such a row gives way, per unit of a row of the rank CLEARANCE

@@ -20,6 +20,12 @@ static inline Pose between(const Pose &A, const Pose &B) {
     return {A.R.transpose() * B.R, A.R.transpose() * (B.p - A.p)};
 }
 
+/* B A⁻¹: the motion in the common frame that leads A to B */
+static inline Pose from_to(const Pose &A, const Pose &B) {
+    const Matrix3 R = B.R * A.R.transpose();
+    return {R, B.p - R * A.p};
+}
+
 /* [linear; angular] */
 static inline Vector6 both(const Vector3 &linear, const Vector3 &angular) {
     Vector6 out;
@@ -94,6 +100,15 @@ static inline bool log6(const Pose &T, Ref6 e) {
     const Vector3 omega = ratio * w, v = unroll(omega, third, T.p);
     e = both(v, omega);
     return isfinite(v[0]) && isfinite(v[1]) && isfinite(v[2]);
+}
+
+/* The same of any placement, near half a turn, too. */
+static inline Vector6 any_log6(const Pose &T) {
+    Vector6 e;
+    if (log6(T, e)) return e;
+    const Vector3 omega = rotation_vector(T.R);
+    const double theta = omega.norm();
+    return both(unroll(omega, (1.0 - 0.5 * theta / tan(0.5 * theta)) / (theta * theta), T.p), omega);
 }
 
 /* exp of a twist */

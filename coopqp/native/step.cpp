@@ -70,7 +70,7 @@ static int let_in(Core *c, const double *positions, const double *q) {
     if (positions) {
         Twists &away = c->measured_away;
         carry(c, positions, c->measured_carried);
-        if (!errors_at(c, c->measured_carried, *c->pose, away)) return 0;
+        if (!view_errors(c, c->measured_carried, away)) return 0;
         const Vector6 found = common_error(c, away);
         away -= c->errors;
         watch_sample(c, positions, q, away, h);
@@ -148,7 +148,7 @@ static void observe(Core *c, const double *q, const double *dt) {
         refuse(c, (Reason)(int)c->loop->fault, (int)c->loop->fault_arm, c->loop->fault_a);
         p->reason_b = c->loop->fault_b, p->faults = 1.0;
     }
-    p->has_errors = errors_at(c, c->carried, *c->pose, c->errors);
+    p->has_errors = view_errors(c, c->carried, c->errors);
     if (p->has_errors != 0.0) watch_chain(c);
     if (grasps_move(c)) watch_ways(c, c->loop->clock);
     p->has_measured = let_in(c, q ? positions : nullptr, q);
@@ -380,7 +380,7 @@ static Outcome settle_again(Core *c, double cap, Outcome outcome, int least) {
 
 /* No look-ahead covers the motion: none has one, or arms that give way have left their path. */
 static int brakes_together(const Core *c) {
-    return !c->looks_ahead || (c->options->leaves_path != 0.0 && accelerates(c) && c->loop->correcting != 0.0);
+    return !c->looks_ahead || gives_way(c);
 }
 
 /* The ranked answer under the cap and the further rows; returns an outcome. */
@@ -564,7 +564,9 @@ static void move_on(Core *c, double rate, double clock_next) {
     const double h = p->dt;
     const Vector6 twist = p->path_share * c->path + c->off_path;
     for (int k = 0; k < c->arms; k++)
-        c->predicted.col(k) = c->errors.col(k) + h * (p->grasp_share * c->grasp.col(k) + c->offsets.col(k) + twist);
+        c->predicted.col(k) = h * (p->grasp_share * c->grasp.col(k) + c->offsets.col(k) + twist);
+    const Vector6 bend = bend_of_way(c->errors.col(0), c->predicted.col(0));
+    for (int k = 0; k < c->arms; k++) c->predicted.col(k) += c->errors.col(k) + bend;
     if (p->outcome == QP || accelerates(c)) c->loop->correcting = twist.squaredNorm() > NEGLIGIBLE, c->correcting = twist;
     c->foreseen = c->foresees;
     c->before = c->loop->first != 0.0 ? c->stand_in : c->velocity;

@@ -11,6 +11,7 @@ import numpy as np
 import pinocchio as pin
 import pytest
 from marks import slow_but_first
+from promise_cases.braking import ACCELERATIONS, blind, line
 from user_paths import Opaque
 
 from coopqp import LimitKind, LinePath, PreviewOptions, QPController, QPOptions, Status
@@ -145,6 +146,16 @@ def test_a_path_that_is_not_known_ahead_runs_out_of_reach_and_the_arms_stay_toge
     changes = sum(a.status is not b.status for a, b in pairwise(steps))
     assert changes <= 2.0 * len(steps) * dt
     assert {limit.kind for step in steps[-20:] for limit in step.binding} & {LimitKind.SINGULARITY, LimitKind.POSITION}
+
+
+@pytest.mark.parametrize("number", slow_but_first([6, 9, 29]))
+def test_rows_take_no_time_where_the_bend_leaves_enough_of_the_accelerations(number: int) -> None:
+    task, dt = line(number, ACCELERATIONS[number % 3], 0.15), 0.008
+    run, before = (blind(task, dt, kernel="plain", rows=rows) for rows in (True, False))
+    assert run.finished
+    assert before.finished
+    assert run.time <= 1.03 * before.time
+    assert run.chain < 1e-6
 
 
 @pytest.mark.parametrize("kernel", available_kernels())

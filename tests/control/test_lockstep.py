@@ -837,6 +837,21 @@ def test_both_agree_when_another_path_is_followed_in_motion() -> None:
 
 
 @pytest.mark.core
+@pytest.mark.parametrize("turn", [2.0, 3.1, 3.3])
+def test_both_agree_where_the_object_is_turned_far_off_its_path(turn: float) -> None:
+    """Beyond 2.7 rad and across half a turn, too, with a measurement."""
+    for make, acceleration in ((mixed_cell, 10.0), (paper_lift, np.inf)):
+        task = limited_once(make, acceleration)
+        start = task.path.pose(0.0)
+        there = pin.SE3(start.rotation @ pin.exp3(np.array([0.0, 0.0, turn])), start.translation)
+        run = pair(task, dt=0.005)
+        run.both(lambda c, a=there: c.follow(LinePath(a, a, duration=1.0, time_law="linear")))
+        run.same = DISTURBED
+        run.run(100, noisy(task.cell, size=1e-5))
+        assert run.seen == {Status.OFF_PATH}
+
+
+@pytest.mark.core
 @pytest.mark.parametrize("acceleration", [1e2, 1e3, 1e4, 1e6])
 @pytest.mark.parametrize("dt", slow_but_first([0.06, 0.01]))
 def test_both_agree_and_finish_however_far_joints_get_in_a_step(acceleration: float, dt: float) -> None:

@@ -29,6 +29,7 @@ from coopqp.control.step.decoding import STATUSES, RecordReader
 from coopqp.control.step.linearised import LinearisedStep, StepInput, is_long
 from coopqp.control.step.priorities import StepSolver
 from coopqp.control.step.velocity_bounds import VelocityBox
+from coopqp.control.step.views import view_errors
 from coopqp.errors import InvalidInputError
 from coopqp.model.cell import RobotCell
 from coopqp.model.chain import Chain
@@ -603,7 +604,7 @@ class CompiledLoop:
         carried = self._chain.carried(self.q)
         along = at["along"] if self._motion is None else at["own_along"].reshape(-1, 6)
         return StepInput(
-            q=self.q, positions=at["positions"], carried=carried, errors=self._chain.errors(carried, pose),
+            q=self.q, positions=at["positions"], carried=carried, errors=view_errors(carried, pose, carried[0]),
             v=at["velocity"], v_before=at["before"], h=p.dt, cap=p.cap, pose=pose, along=along,
             measured=at["measured"] if p.has_measured else None, predicted=predicted if known else None,
             foreseen=foreseen if known else 0.0, last_dt=loop.last_dt,

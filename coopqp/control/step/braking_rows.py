@@ -31,6 +31,7 @@ from coopqp.model.state import CellState
 from coopqp.native.constants import (
     APPROACH_STEPS,
     APPROACH_TIME,
+    BEND_OFF_PATH,
     BEND_SHARE,
     EDGE_SHARE,
     FASTEST_JOINT,
@@ -63,7 +64,7 @@ class BrakingRows:
             *(BindingLimit(arm, joint, LimitKind.ACCELERATION) for arm, joint in names),
         )
 
-    def rows(self, q: Array, v: Array, h: float, about: Array) -> Rows:
+    def rows(self, q: Array, v: Array, h: float, about: Array, *, gives_way: bool = False) -> Rows:
         """The rows that may bind the next velocities, v⁺.
 
         Args:
@@ -71,6 +72,7 @@ class BrakingRows:
             v: joint velocities of the last step (nv,).
             h: length of the next step [s].
             about: origin of the object (3,) [m].
+            gives_way: the arms have left their path to give way.
         """
         chain, limits, speed = self._chain, self._chain.cell.limits, np.abs(v)
         chain.evaluate(q, about)
@@ -80,7 +82,7 @@ class BrakingRows:
         to_singular, one = self._bounds(-away, distances, v, h, T), np.eye(len(v))
         up = self._bounds(one, limits.upper - x, v, h, T)
         down = self._bounds(-one, x - limits.lower, v, h, T)
-        bent, bend_bound, joint = self._bend(v, h, T)
+        bent, bend_bound, joint = self._bend(v, h, T, BEND_OFF_PATH if gives_way else BEND_SHARE)
         n, nv = len(distances), len(v)
         G = np.vstack([-away, one, bent])
         upper = np.concatenate([to_singular, up, [bend_bound]])
@@ -127,8 +129,8 @@ class BrakingRows:
         gentle = np.minimum(e / max(APPROACH_TIME, APPROACH_STEPS * h), stopping)
         return np.maximum(gentle, (1.0 - h / T) * s)
 
-    def _bend(self, v: Array, h: float, T: float) -> tuple[Array, float, int]:
-        """The row by the chain's bend (nv,), its bound, and the joint that needs it."""
+    def _bend(self, v: Array, h: float, T: float, most: float) -> tuple[Array, float, int]:
+        """The row by the chain's bend (nv,), its bound for a largest share, and the joint that needs it."""
         chain = self._chain
         pairs = zip(chain.jacobians, chain.moving_columns, strict=True)
         turning = np.array([bend(J, v[columns]) for J, columns in pairs])
@@ -136,9 +138,9 @@ class BrakingRows:
         joint = int(used.argmax())
         row = v * self._metric
         size = math.sqrt(row @ v)
-        if not used[joint] > 0.5 * BEND_SHARE or not size > 0.0:
+        if not used[joint] > 0.5 * most or not size > 0.0:
             return row, np.inf, joint
-        return row / size, max(math.sqrt(BEND_SHARE / used[joint]), 1.0 - h / T) * size, joint
+        return row / size, max(math.sqrt(most / used[joint]), 1.0 - h / T) * size, joint
 
 
 def least_singular_value(J: Array) -> tuple[float, Array]:

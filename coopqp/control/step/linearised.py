@@ -14,6 +14,7 @@ from coopqp.control.options import QPOptions
 from coopqp.control.step.formulations import StepTerms
 from coopqp.control.step.priorities import StepAnswer, StepSolver
 from coopqp.control.step.velocity_bounds import VelocityBox
+from coopqp.control.step.views import errors_after, ways_between
 from coopqp.model.chain import Chain
 from coopqp.native.constants import BENT_STEP, EXTRA_AT_START, LONG_STEP, SETTLED
 from coopqp.spatial import Array
@@ -134,7 +135,7 @@ class LinearisedStep:
         path_correction = answer.path_share * terms.path_correction + answer.off_path
         # The reference goes on along all of the path's twist, also where few joints follow only a part of it.
         lost = answer.rate * (terms.along - s.along)
-        predicted = s.errors + h * (correction + terms.offsets + path_correction + lost)
+        predicted = errors_after(s.errors, h * (correction + terms.offsets + path_correction + lost))
         # The velocities at the start and the middle of the first step serve as the velocities of two steps.
         stand_in = 2.0 * start - answer.velocity if s.first else s.v
         made = answer.chain == 0.0 and not answer.braked and not self._chain.deficient
@@ -184,7 +185,7 @@ class LinearisedStep:
         """
         o, errors, gain = self._options, s.errors, min(self._options.grasp_gain, 1.0 / s.h)
         grasp = gain * (common - errors)
-        offsets = np.zeros(grasp.shape) if s.predicted is None else (s.predicted - errors) / s.last_dt
+        offsets = np.zeros(grasp.shape) if s.predicted is None else ways_between(errors, s.predicted) / s.last_dt
         if s.asked is not None:
             grasp += gain * (mean_error(self._shares, s.asked) - s.asked)
             offsets += s.asked / s.h - s.asked / s.last_dt  # they are in the errors, too

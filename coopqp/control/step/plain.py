@@ -37,6 +37,7 @@ from coopqp.control.step.rate_cap import OVERRIDE, RateCap
 from coopqp.control.step.state import LoopState, Observed, Proposal
 from coopqp.control.step.velocity_bounds import VelocityBox
 from coopqp.control.step.verdict import away_from_path, cause_of, given_up, lasting, rests, slow_status, too_close
+from coopqp.control.step.views import view_errors
 from coopqp.model.cell import RobotCell
 from coopqp.model.chain import Chain
 from coopqp.model.grasp import Grasp, mean_pose
@@ -282,7 +283,7 @@ class PlainLoop:
         self.reference = pose
         if s.fault:
             watch = Watch(0.0, hold=True, fault=True, arm=s.fault_arm, reason=s.fault, cause=s.fault_cause)
-        seen = Observed(h, pose, carried, self._chain.errors(carried, pose), watch, lost=lost)
+        seen = Observed(h, pose, carried, view_errors(carried, pose, carried[0]), watch, lost=lost)
         self._watch_chain(seen)
         seen.measured = self._measured_error(seen, measured, before)
         gain = min(self.options.path_gain, 1.0 / h)
@@ -343,7 +344,7 @@ class PlainLoop:
         s, watch, held = self.state, seen.watch, seen.carried
         if measured is not None:
             held = self._chain.carried(measured)
-            away = self._chain.errors(held, seen.pose) - seen.errors
+            away = view_errors(held, seen.pose, seen.carried[0]) - seen.errors
             if s.drift is not None and self._motion is not None:
                 s.latched = s.latched + handed(self._shares, shares, away)
             drift, mean = np.zeros(6) if s.drift is None else s.drift, self._mean(away) + s.latched
@@ -434,7 +435,9 @@ class PlainLoop:
             else:
                 along = self._along(seen.pose, ahead, s.clock, span)
         if self._brakes_together:
-            further = further.and_also(self._braking.rows(s.q, s.v, h, seen.carried[0].translation))
+            further = further.and_also(
+                self._braking.rows(s.q, s.v, h, seen.carried[0].translation, gives_way=self._gives_way)
+            )
         null_along, null_offset = self._null_space_reference(span, hold=seen.watch.hold)
         if self._chain.apart:
             null_along, null_offset = self._own_ways(null_along, null_offset, span, h, hold=seen.watch.hold)
@@ -454,8 +457,12 @@ class PlainLoop:
     @property
     def _brakes_together(self) -> bool:
         """Whether no look-ahead covers the motion: none has one, or arms that give way have left their path."""
-        leaves = self.constraints.gives_way and self._box.accelerates and self.state.correcting is not None
-        return self._no_horizon or leaves
+        return self._no_horizon or self._gives_way
+
+    @property
+    def _gives_way(self) -> bool:
+        """Whether arms that give way have left their path, under acceleration limits."""
+        return self.constraints.gives_way and self._box.accelerates and self.state.correcting is not None
 
     def _tightened(self, given: StepInput) -> LinearisedAnswer:
         """The answer; again with tighter rows where it violates their constraints."""
