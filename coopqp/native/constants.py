@@ -39,6 +39,7 @@ RESTING_SPEED = 1e-3  # a paused object that leaves its path faster does not res
 RESTING_SPIN = 1e-2  # or by this [rad/s]
 LARGEST_X = 1e5  # an infeasibility has to cover unknowns of the QP up to this, in their units
 EXTRA_AT_START = 3  # linearisations of a first or long step beyond the others
+SMALL_TWIST = 1e-3  # the logarithm of a product of smaller ones comes from the first terms of its series [m, rad]
 LONG_STEP = 0.03  # a step that moves a joint further is linearised again [rad or m]
 BENT_STEP = 1e-6  # so is one whose linearisation errs by more [rad²]
 LARGEST_MOVE = 0.05  # a joint with neither velocity nor acceleration limit moves by this in a step [rad or m]

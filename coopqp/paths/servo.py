@@ -67,6 +67,15 @@ class _Way:
         self.duration = max(nominal / share + 0.5 * ramps, ramps)
 
     @staticmethod
+    def at_rest(pose: pin.SE3) -> _Way:
+        """No way: it begins and ends at a pose."""
+        way: _Way = object.__new__(_Way)
+        way.start = way.goal = pose
+        way.twist, way.line, way.turn = np.zeros(6), np.zeros(3), np.zeros(3)
+        way.begin, way.end, way.duration = 0.0, 0.0, SHORTEST_CHANGE
+        return way
+
+    @staticmethod
     def of_segment(numbers: Array, goal: pin.SE3) -> _Way:
         """The way that :meth:`segment` describes."""
         way: _Way = object.__new__(_Way)
@@ -145,7 +154,7 @@ class ServoPath(ObjectPath):
 
     def _rest(self, pose: pin.SE3) -> None:
         self._since = 0.0
-        self._way = self._to(pose, np.zeros(6), pose, None, None)
+        self._way = _Way.at_rest(pose)
 
     def _to(self, start: pin.SE3, twist: Array, goal: pin.SE3, ramp_times: Array | None, stops: Array | None) -> _Way:
         if ramp_times is None:

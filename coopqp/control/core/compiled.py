@@ -102,6 +102,7 @@ class CompiledLoop:
         numbers.certified = self._certified is not None
         numbers.leaves_path = constraints.gives_way
         self._loop.overridden = self._loop.ease = 1.0
+        self._share: float | None = math.nan  # of the accelerations that the path's options are for; none yet
         if not same_kinematics(chain, self._core.linearise):
             raise NotForTheCore("the core's kinematics of this robot are not Pinocchio's")
         self._target = Posture(cell, options.posture).target
@@ -149,7 +150,10 @@ class CompiledLoop:
         """Take a path, as a way along a program; it begins with :meth:`start_path`."""
         self.path = path
         self._guarded = GuardedPath(path)
-        put_options(self._memory, self._chain, self._box, self.options.on(self._guarded.planned_share), self.dt)
+        share = self._guarded.planned_share
+        if share != self._share:
+            put_options(self._memory, self._chain, self._box, self.options.on(share), self.dt)
+            self._share = share
         elbows = self._guarded.elbows
         self._memory.options.elbows = 0 if elbows is None else len(elbows.clocks)
         self._reader = RecordReader(
