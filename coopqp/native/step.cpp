@@ -590,7 +590,7 @@ static void write_configuration(const Core *c, double *q) {
 /* Keep the end of every so many steps for the way back, until it is read: coopqp/control/operator/trail.py. */
 static void keep_travelled(Core *c) {
     Travels *kept = c->travels;
-    if (kept->stride == 0.0 || --kept->left > 0.0 || kept->count >= MOST_TRAVELS) return;
+    if (!(kept->stride > 0.0) || --kept->left > 0.0 || !(kept->count >= 0.0 && kept->count < MOST_TRAVELS)) return;
     kept->left = kept->stride;
     double *row = c->travelled + (int)kept->count++ * (2 + 2 * c->joints);
     row[0] = c->loop->clock, row[1] = c->loop->rate;
