@@ -8,6 +8,7 @@ measured steps have a call each. Both start with a reset before each block and t
 
 from __future__ import annotations
 
+import sys
 import time
 from collections.abc import Callable, Sequence
 from contextlib import ExitStack
@@ -33,12 +34,12 @@ KEYS = ("what", "case", "arms", "step_us", "core_us", "ratio", "met", "part", "p
 RATIO = 3.0
 #: Cases of the comparison and of the profile, see :mod:`peer_cases`.
 CASES, PROFILED = ("nominal", "measured", "qp"), ("nominal", "measured", "zigzag", "qp")
-#: Methods of the plain definition, and their parts. What else they call is in the part of the caller.
-PARTS: tuple[tuple[type, str, str], ...] = (
+#: Methods and functions of the plain definition, and their parts. What else they call is in the part of the caller.
+PARTS: tuple[tuple[Any, str, str], ...] = (
     (PlainLoop, "observe", "observe"),
     *((PathPreview, name, "preview") for name in ("cap", "reference")),
     *((Chain, name, "kinematics") for name in ("carried", "evaluate")),
-    (Chain, "errors", "errors"),
+    (sys.modules[PlainLoop.__module__], "view_errors", "errors"),
     (Chain, "invert", "inverse"),
     (VelocityBox, "update", "box"),
     (LinearisedStep, "answer", "corrections"),

@@ -9,32 +9,33 @@ static int errors_at(const Core *c, const Pose *carried, const Pose &T, Twists &
     return errors.allFinite();
 }
 
+/* The object is turned so far off its path that logarithms of the arms' views do not differ by twists. */
+static bool far_off(const Vector6 &error) { return !(error.tail<3>().squaredNorm() < FAR_OFF * FAR_OFF); }
+
 static int view_errors(const Core *c, const Pose *carried, Twists &errors) {
+    const bool commanded = carried == c->carried;
+    if (commanded && !errors_at(c, carried, *c->pose, errors)) return 0;
+    if (!far_off(c->errors.col(0))) return commanded || errors_at(c, carried, *c->pose, errors);
     const Pose first = between(*c->pose, c->carried[0]);
     const Vector6 common = any_log6(first);
-    if (!common.allFinite()) return 0;
     for (int k = 0; k < c->arms; k++) {
-        if (k == 0 && carried == c->carried) errors.col(k).setZero();
-        else if (!log6(from_to(first, between(*c->pose, carried[k])), errors.col(k))) return 0;
+        if (!log6(from_to(first, between(*c->pose, carried[k])), errors.col(k))) return 0;
         errors.col(k) += common;
     }
     return 1;
 }
 
-/* log(exp a exp b) − a − b. Of small twists: the first terms of its series, which leave out less than their size⁴ / 24. */
-static Vector6 beyond_sum(const Vector6 &a, const Vector6 &b) {
-    if (maximum(a.cwiseAbs().maxCoeff(), b.cwiseAbs().maxCoeff()) < SMALL_TWIST) {
-        const Vector6 c = bracket(a, b);
-        return 0.5 * c + bracket(a - b, c) / 12.0;
-    }
-    return any_log6(compose(exp6(a), exp6(b))) - a - b;
+/* What the first view's errors later are beyond the sum of its errors and of a way from there. */
+static Vector6 bend_of_way(const Vector6 &error, const Vector6 &way) {
+    if (!far_off(error)) return Vector6::Zero();
+    return any_log6(compose(exp6(way), exp6(error))) - error - way;
 }
 
-/* What the first view's errors later are beyond the sum of its errors and of a way from there. */
-static Vector6 bend_of_way(const Vector6 &error, const Vector6 &way) { return beyond_sum(way, error); }
-
 /* What the first view's way between errors is beyond their difference. */
-static Vector6 bend_of_errors(const Vector6 &error, const Vector6 &later) { return beyond_sum(later, -error); }
+static Vector6 bend_of_errors(const Vector6 &error, const Vector6 &later) {
+    if (!far_off(error)) return Vector6::Zero();
+    return any_log6(from_to(exp6(error), exp6(later))) - (later - error);
+}
 
 static Vector6 common_error(const Core *c, const Twists &errors) {
     Vector6 common = Vector6::Zero();

@@ -111,12 +111,6 @@ static inline Vector6 any_log6(const Pose &T) {
     return both(unroll(omega, (1.0 - 0.5 * theta / tan(0.5 * theta)) / (theta * theta), T.p), omega);
 }
 
-/* [a, b]: how a twist changes along another one */
-static inline Vector6 bracket(const Vector6 &a, const Vector6 &b) {
-    const Vector3 v = a.head<3>(), w = a.tail<3>(), linear = b.head<3>(), angular = b.tail<3>();
-    return both(w.cross(linear) + v.cross(angular), w.cross(angular));
-}
-
 /* exp of a twist */
 static inline Pose exp6(const Vector6 &twist) {
     const Vector3 v = twist.head<3>(), w = twist.tail<3>();
