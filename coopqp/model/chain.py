@@ -98,7 +98,8 @@ class Chain:
             O[k] = O[next(i for i in range(self.n_arms) if i not in self.apart)]
         return O
 
-    def errors(self, O: list[pin.SE3], reference: pin.SE3) -> Array:
+    @staticmethod
+    def errors(O: Sequence[pin.SE3], reference: pin.SE3) -> Array:
         """``e_k = log(R⁻¹ O_k)``, shape (N, 6) [m, rad], from :meth:`carried` and the reference pose R."""
         return np.array([pin.log6(reference.actInv(own)).vector for own in O])
 

@@ -19,6 +19,7 @@ from collections.abc import Sequence
 import numpy as np
 import pinocchio as pin
 
+from coopqp.model.chain import Chain
 from coopqp.native.constants import FAR_OFF
 from coopqp.spatial import Array
 
@@ -28,7 +29,7 @@ def view_errors(O: Sequence[pin.SE3], reference: pin.SE3, first: pin.SE3) -> Arr
     E = reference.actInv(first)
     common = pin.log6(E).vector
     if not _far_off(common):
-        return np.array([pin.log6(reference.actInv(own)).vector for own in O])
+        return Chain.errors(O, reference)
     back = E.inverse()
     return np.array([common + pin.log6(reference.actInv(own) * back).vector for own in O])
 
