@@ -40,6 +40,8 @@ SUPPORT = ROOT / "tests" / "support"
 ROS = os.environ.get("COOPQP_ROS_PYTHON", "")
 NEEDS_ROS = "COOPQP_ROS_PYTHON has to name a Python with rclpy"
 DOMAIN = 60
+#: How long the last commands' echoes are waited for [s].
+_UNDER_WAY = 0.5
 
 
 class MissingPeerError(Exception):
@@ -107,18 +109,18 @@ def echo(number: int = 5000) -> Iterator[Row]:
     yield Row("three arms over DDS to rclpy, command to echo: p50", 1e3 * float(p50), 4.5, "ms")
     yield Row("three arms over DDS to rclpy, command to echo: p99", 1e3 * float(p99), 8.0, "ms")
     lost = float(sum(number - count for count in counts.values()))
-    yield Row(f"the same: commands lost of {3 * number}", lost, 0.0, "1")
+    yield Row(f"the same: commands lost of {len(arms) * number}", lost, 0.0, "1")
 
 
 def _ages(drivers: dict[str, Ros2Driver], number: int) -> Array:
     prepare_process(realtime=50, lock_memory=True, core=None)
     for driver in drivers.values():
         driver.connect()
-    sent, ages = np.zeros(number), list[float]()
+    sent, ages = np.zeros(number + 1), list[float]()
     seen = dict.fromkeys(drivers, 0)
     deadline = time.monotonic()
-    for i in range(1, number):
-        deadline += DT
+    for i in range(1, number + 1):
+        deadline += DT if i < number else _UNDER_WAY
         sent[i] = time.monotonic()
         for driver in drivers.values():
             driver.send(Command(np.full(len(driver.joint_names), 1e-6 * i), np.zeros(6), time.time()))
@@ -170,13 +172,14 @@ def minutes(duration: float = 600.0) -> Iterator[Row]:
 class _Apart:
     """Distance of the arms in periods that are not late, from what they measure."""
 
-    def __init__(self, cell: RobotCell, grasp: Grasp) -> None:
+    def __init__(self, cell: RobotCell, grasp: Grasp, period: float = DT) -> None:
         self._cell, self._grasp, self._last = cell, grasp, -np.inf
+        self._longest = 1.5 * period
         self.found: list[float] = []
         self._number = 0
 
     def take(self, moment: float, measured: Array, sent: Array, step: Any, clock: float) -> None:
-        late, self._last = moment - self._last > 1.5 * DT, moment
+        late, self._last = moment - self._last > self._longest, moment
         self._number += 1
         if late or self._number % 5 or np.isnan(measured).any():
             return
@@ -313,7 +316,7 @@ def frankas() -> Iterator[Row]:
     grasp = Grasp.from_configuration(cell, q, begin)
     controller = QPController(cell, grasp, LinePath(begin, end, duration=3.0, time_law="quintic"), dt=0.004)
     addresses = ("127.100.60.1", "127.100.60.2")
-    apart = _Apart(cell, grasp)
+    apart = _Apart(cell, grasp, controller.dt)
     with _franky(addresses):
         drivers = {
             name: FrankaDriver(

@@ -20,6 +20,7 @@ import pinocchio as pin
 
 from coopqp import ControlStep, QPController, Recording, Status, simulate
 from coopqp.drivers import RealTimeRun
+from coopqp.drivers.process import BESIDE_PAGE, prepare_process
 from coopqp.scenarios import Scenario, dual_arm7
 from coopqp.simulation import describe_object, read_run
 from coopqp.visualization import PageLink
@@ -40,8 +41,12 @@ class Session:
         self.run = RealTimeRun(_controller(task), task.q_start, records=records)
         self.last: ControlStep | None = None
         self.observe: Callable[[ControlStep], None] | None = None
-        self._thread = threading.Thread(target=lambda: self.run.run(self._step), daemon=True)
+        self._thread = threading.Thread(target=self._loop, daemon=True)
         self._ends = threading.Event()
+
+    def _loop(self) -> None:
+        prepare_process(realtime=BESIDE_PAGE, lock_memory=False, core=None)  # as coopqp jog does
+        self.run.run(self._step)
 
     def _step(self, step: ControlStep) -> None:
         self.last = step

@@ -40,7 +40,8 @@ _CONFIGURATIONS = {
 }  # fmt: skip
 #: The queries in the order of their paper.
 QUERIES = (("top", "middle"), ("middle", "bottom"), ("bottom", "top"))
-#: The shortest length of the joints' ways that they publish for each, without contact [rad].
+#: The shortest way that they publish for each, without contact, measured in their coordinates [rad]; see
+#: :func:`length_in_their_coordinates`.
 PUBLISHED = {("top", "middle"): 2.09, ("middle", "bottom"): 3.00, ("bottom", "top"): 4.75}
 _BETWEEN_BASES, _BETWEEN_TOOLS, _RADIUS = 0.765, 0.6, 0.06
 #: The gripper's turn about its flange [rad], and how far the last link's frame is from the tool's [m].
@@ -116,3 +117,32 @@ def _furniture() -> list[Body]:
 def joint_length(joints: Array) -> float:
     """Length of the way of all joints [rad]."""
     return float(np.linalg.norm(np.diff(joints, axis=0), axis=1).sum())
+
+
+def length_in_their_coordinates(cell: RobotCell, joints: Array) -> float:
+    """Length of a way in the coordinates of their planner [rad]: the joints of one arm, the elbow angle of the other.
+
+    The joints of both arms cannot be meant: between the ends of the first query they differ by 2.41 rad, and the length
+    that is published is 2.09 rad. In these coordinates the ends differ by 1.88 or 1.97 rad, and by elbow angles of
+    0.8200 and 0.9600 rad: numbers that somebody chose. Either arm may lead; the longer length is given.
+    """
+    lengths = []
+    for leader, follower in (("left", "right"), ("right", "left")):
+        leading = joints[:, [cell.model.joints[k].idx_q for k in _joints_of(cell, leader)]]
+        elbow = np.unwrap([_elbow_angle(cell, q, follower) for q in joints])
+        lengths.append(joint_length(np.column_stack((leading, elbow))))
+    return max(lengths)
+
+
+def _joints_of(cell: RobotCell, arm: str) -> list[int]:
+    return [k for k, name in enumerate(cell.model.names) if name.startswith(f"{arm}/")]
+
+
+def _elbow_angle(cell: RobotCell, q: Array, arm: str) -> float:
+    """Angle about the line from shoulder to wrist between the elbow and the vertical plane of that line [rad]."""
+    data = cell.model.createData()
+    pin.forwardKinematics(cell.model, data, q)
+    shoulder, elbow, wrist = (data.oMi[_joints_of(cell, arm)[k]].translation for k in (1, 3, 5))
+    axis = (wrist - shoulder) / np.linalg.norm(wrist - shoulder)
+    vertical, plane = np.cross([0.0, 0.0, 1.0], axis), np.cross(elbow - shoulder, axis)
+    return float(np.arctan2(axis @ np.cross(vertical, plane), vertical @ plane))

@@ -26,7 +26,7 @@ from coopqp.planning import Route
 
 KEYS = (
     "problem", "seed", "engine", "found", "first_s", "total_s", "length_m", "check", "duration_s", "clearance_mm",
-    "length_rad",
+    "length_rad", "their_length_rad",
 )  # fmt: skip
 
 
@@ -88,7 +88,11 @@ def shelves(plan: Plan, seeds: Sequence[int], progress: common.Progress) -> Iter
         for seed in seeds:
             progress.advance(name)
             record, route = searched(name, seed, problem, plan.time_limit)
-            yield record | {"duration_s": duration(route)}
+            theirs = route_shelves.length_in_their_coordinates
+            yield record | {
+                "duration_s": duration(route),
+                "their_length_rad": None if route.joints is None else theirs(problem.cell, route.joints),
+            }
 
 
 def scenes(plan: Plan, numbers: Sequence[int], progress: common.Progress) -> Iterator[Record]:
@@ -157,6 +161,7 @@ def report(records: Sequence[Record]) -> str:
                 "total 50 [s]": float(np.median(total)),
                 "length 50 [m]": _median(r["length_m"] for r in own),
                 "joints' length 50 [rad]": _median(r["length_rad"] for r in own),
+                "their length 50 [rad]": _median(r["their_length_rad"] for r in own),
                 "duration 50 [s]": _median(durations),
                 "over the best": float(np.median(durations) / min(durations)) if durations else None,
                 "least clearance [mm]": min((r["clearance_mm"] for r in own if r["clearance_mm"]), default=None),

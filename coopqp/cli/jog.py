@@ -128,7 +128,7 @@ def _by_script(arguments: argparse.Namespace) -> Recording:
 def _on_page(arguments: argparse.Namespace) -> Recording | None:
     """Serve the page until Ctrl-C; what was recorded."""
     from coopqp.cli.runs import obtain_task
-    from coopqp.drivers.process import prepare_process
+    from coopqp.drivers.process import BESIDE_PAGE, prepare_process
     from coopqp.drivers.real_time import RealTimeRun
     from coopqp.visualization.viewer import require_viser
 
@@ -139,13 +139,14 @@ def _on_page(arguments: argparse.Namespace) -> Recording | None:
     with _interrupts(run):
         link = _linked(run, task, arguments)
         try:
-            prepare_process(realtime=None, lock_memory=False, core=None)
+            granted = prepare_process(realtime=BESIDE_PAGE, lock_memory=False, core=None)
             run.run(link.observe)
         finally:
             link.close()
     if not arguments.quiet:
         p50, p99, most = (1e6 * late for late in run.lateness())
         print(f"{run.steps} steps, late p50 {p50:.0f}, p99 {p99:.0f}, largest {most:.0f} µs; {run.missed} left out")
+        print(f"real-time scheduler: {granted['realtime']}")
     if not records:
         return None
     return task.finished(run.recording(dict(task.metadata)))

@@ -25,50 +25,54 @@ class CommandSpline:
         clock: the controller's clock there [s].
         period: T, the time between two commands [s].
         size: how many points are kept.
+
+    Attributes:
+        points: the control points and the clock at each, in a ring that is kept twice (2 size, n + 1).
+        count: how many points came so far.
     """
 
     def __init__(self, x: Array, *, clock: float, period: float, size: int = 4096) -> None:
         self.period = period
-        # The clock is one more coordinate; a second copy of every row spares a window across the ring's end.
-        self._points = np.empty((2 * size, len(x) + 1))
+        # A second copy of every row spares a window across the ring's end.
+        self.points = np.empty((2 * size, len(x) + 1))
         self._size = size
         self.restart(x, clock)
 
     def restart(self, x: Array, clock: float) -> None:
         """Begin again at rest, at σ = 0."""
-        self._count = 0
+        self.count = 0
         for _ in range(3):
             self.append(x, clock)
 
     def append(self, x: Array, clock: float) -> None:
         """Add the next command (n,), and the controller's clock at it [s]."""
-        at = self._count % self._size
-        row = self._points[at]
+        at = self.count % self._size
+        row = self.points[at]
         row[:-1], row[-1] = x, clock
-        self._points[at + self._size] = row
-        self._count += 1
+        self.points[at + self._size] = row
+        self.count += 1
 
     @property
     def head(self) -> float:
         """The largest σ at which the curve is known [s]."""
-        return (self._count - 2) * self.period
+        return (self.count - 2) * self.period
 
     @property
     def tail(self) -> float:
         """The smallest σ at which the curve is kept [s]; −∞ while nothing is forgotten."""
-        return (self._count - self._size) * self.period if self._count > self._size else -np.inf
+        return (self.count - self._size) * self.period if self.count > self._size else -np.inf
 
     @property
     def last(self) -> Array:
         """The last command (n,)."""
-        return self._points[(self._count - 1) % self._size, :-1]
+        return self.points[(self.count - 1) % self._size, :-1]
 
     def _weights(self, sigma: float) -> tuple[Array, float]:
         """The three points that matter at σ (3, n + 1), and the share of the way between their middles."""
         s = sigma / self.period
-        i = min(max(int(np.floor(s)), 0, self._count - self._size), self._count - 3)
+        i = min(max(int(np.floor(s)), 0, self.count - self._size), self.count - 3)
         at = i % self._size
-        return self._points[at : at + 3], min(max(s - i, 0.0), 1.0)
+        return self.points[at : at + 3], min(max(s - i, 0.0), 1.0)
 
     def at(self, sigma: float) -> Array:
         """H(σ) (n,), then the controller's clock there [s]: (n + 1,)."""
@@ -88,7 +92,7 @@ class CommandSpline:
     def slope(self, sigma: float) -> Array:
         """H′(σ) (n,) [rad/s or m/s]; 0 outside what is known."""
         if sigma < 0.0 or sigma > self.head:
-            return np.zeros(self._points.shape[1] - 1)
+            return np.zeros(self.points.shape[1] - 1)
         points, u = self._weights(sigma)
         value: Array = ((1.0 - u) * (points[1] - points[0]) + u * (points[2] - points[1])) / self.period
         return value[:-1]
@@ -96,10 +100,10 @@ class CommandSpline:
     def values(self, sigmas: Array) -> Array:
         """H at several σ (m,) → (m, n) [rad or m]."""
         s = sigmas / self.period
-        i = np.clip(np.floor(s).astype(int), max(0, self._count - self._size), self._count - 3)
+        i = np.clip(np.floor(s).astype(int), max(0, self.count - self._size), self.count - 3)
         u = np.clip(s - i, 0.0, 1.0)[:, None]
         at = i % self._size
-        a, b, c = self._points[at, :-1], self._points[at + 1, :-1], self._points[at + 2, :-1]
+        a, b, c = self.points[at, :-1], self.points[at + 1, :-1], self.points[at + 2, :-1]
         w = 1.0 - u
         value: Array = 0.5 * w * w * a + (0.5 + u * w) * b + 0.5 * u * u * c
         return value

@@ -12,10 +12,13 @@ import numpy as np
 import numpy.typing as npt
 
 from coopqp.drivers.command_spline import CommandSpline
+from coopqp.native import compiled
+from coopqp.native.constants import RATE_CANDIDATES
 from coopqp.spatial import Array
 
+_COMPILED = compiled()
 #: Candidates of each of the two passes of the search.
-_CANDIDATES = np.linspace(1.0, 0.0, 33)
+_CANDIDATES = np.linspace(1.0, 0.0, RATE_CANDIDATES + 1)
 
 
 @final
@@ -46,20 +49,30 @@ class LimitedClock:
 
     def step(self, wanted: float) -> Array:
         """Go on by one period, at a rate as near to the wanted one, −1 to 1, as the limits allow. Returns c (n,)."""
-        wanted = min(max(wanted, -1.0), 1.0)
-        high, low = wanted, self.rate
-        if not self._allowed(np.array([high]))[0]:
-            for _ in range(2):
-                rates = low + _CANDIDATES * (high - low)
-                allowed = self._allowed(rates)
-                allowed[-1] = True  # the last rate, or one that was found to be allowed
-                best = int(np.argmax(allowed))
-                high, low = float(rates[max(best - 1, 0)]), float(rates[best])
-            high = low
-        self.rate = high
-        self.sigma += high * self._h
+        self.rate = self._limited(min(max(wanted, -1.0), 1.0))
+        self.sigma += self.rate * self._h
         self._before, self.point = self.point, self._spline.value(self.sigma)
         return self.point
+
+    def _limited(self, wanted: float) -> float:
+        """The rate nearest to the wanted one that keeps the limits; native/limited_clock.cpp does the same."""
+        if _COMPILED is not None:
+            points, count, every = self._spline.points, self._spline.count, self._spline.period
+            last, limits = (self.point, self._before), (self._most, self._most_change)
+            rate: float = _COMPILED.limited_rate(
+                points, count, every, *last, *limits, self.sigma, self._h, wanted, self.rate
+            )
+            return rate
+        high, low = wanted, self.rate
+        if self._allowed(np.array([high]))[0]:
+            return high
+        for _ in range(2):
+            rates = low + _CANDIDATES * (high - low)
+            allowed = self._allowed(rates)
+            allowed[-1] = True  # the last rate, or one that was found to be allowed
+            best = int(np.argmax(allowed))
+            high, low = float(rates[max(best - 1, 0)]), float(rates[best])
+        return low
 
     def _allowed(self, rates: Array) -> npt.NDArray[np.bool_]:
         """Which of some rates (m,) keep the limits."""

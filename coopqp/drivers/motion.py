@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from typing import final
 
@@ -81,8 +82,8 @@ class SharedMotion:
         self._lead = lead
         self._wait = lead + float(delay.max(initial=0.0))
         self.lateness = np.full(n, np.nan)
-        #: The rate at which each robot goes along the way, and where it was seen last, at what time.
-        self._own = np.zeros(n)
+        #: How fast the way is for each robot, the rate at which it goes along it, and where it was seen last, and when.
+        self._speed, self._own = np.zeros(n), np.zeros(n)
         self._seen: list[tuple[float, Array] | None] = [None] * n
         self._learnt = False
         self._times = np.full(_HISTORY, -np.inf)
@@ -163,6 +164,7 @@ class SharedMotion:
             left = self._learning[k] / self._options.learning_time
             seen = max(seen - unknown * left * max(rate, 0.0), 0.0)
         self.lateness[k] = seen
+        self._speed[k] = math.sqrt(float(slope @ (scale * slope)))
         place = np.asarray(state.q if state.target is None else state.target, dtype=float)
         last = self._seen[k]
         if last is not None and moment > last[0]:
@@ -214,7 +216,7 @@ class SharedMotion:
             said: which robots say that they have stopped (robots,).
             stand: brake, and stay where the brake ends.
         """
-        rate = self.law.step(self.lateness, self._own, said)
+        rate = self.law.step(self.lateness, self._speed, self._own, said)
         play_out, shared = self.play_out, self.shared
         if stand:
             wanted = 0.0

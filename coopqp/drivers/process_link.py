@@ -71,7 +71,7 @@ class ProcessLink:
                 self.close()
                 raise DriverError("its process does not start. Look at what it printed.")
             ended = self._process.poll() is not None
-        packet = self._link.recv(65536, socket.MSG_PEEK)
+        packet, self._robot = self._link.recvfrom(65536, socket.MSG_PEEK)
         if packet[:1] == ERROR:
             self.close()
             raise DriverError(packet[1:].decode())

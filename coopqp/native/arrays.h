@@ -70,5 +70,6 @@ void bind_step(nb::module_ &m);
 void bind_kinematics(nb::module_ &m);
 void bind_distances(nb::module_ &m);
 void bind_edges(nb::module_ &m);
+void bind_clock(nb::module_ &m);
 
 #endif

@@ -9,4 +9,5 @@ NB_MODULE(_core, m) {
     bind_kinematics(m);
     bind_distances(m);
     bind_edges(m);
+    bind_clock(m);
 }

@@ -216,6 +216,9 @@ FIRMER = 100.0  # and press harder at this speed [N/s]
 LOOK_EVERY = 0.1  # time between two looks at the compliances, which change with the configuration [s]
 MOST_MINDING = 64  # arms
 
+# -- the clock of robots -----------------------------------------------------------------------------------------------
+RATE_CANDIDATES = 32  # rates that are tried in each of two passes where the wanted one breaks a limit
+
 # -- sizes of the memory -----------------------------------------------------------------------------------------------
 MOST_KNOTS = 1024  # that the look-ahead keeps
 MOST_TRAVELS = 32  # ends of steps that are kept for the trail until it is read

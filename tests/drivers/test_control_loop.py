@@ -78,6 +78,30 @@ def test_a_loop_on_the_robots_own_clocks_with_latency(cell, lift):
     assert run.apart.max() <= 1e-4
 
 
+def test_a_servo_that_is_never_exact_does_not_stop_the_run_where_its_way_ends(cell, lift):
+    """A fifth of a milliradian is little distance, and near the end, where the way is slow, much time."""
+    own = cell.v_slices[1]
+    begins = cell.positions(lift.q_start)
+
+    def hang_behind(robots, loop):
+        robot = robots["slave_1"]
+        read = robot.read
+
+        def behind():
+            state = read()
+            if state is None:
+                return None
+            off = -2e-4 * np.sign(loop.controller.cell.positions(loop.controller.commanded)[own] - begins[own])
+            return replace(state, q=state.q + off, target=state.target + off)
+
+        robot.read = behind
+
+    run = drive(cell, lift, (0.0,) * 3, events=[(0.3, hang_behind)])
+    assert run.report.finished, run.report.reason
+    assert run.report.stops == 0
+    assert run.report.time <= 2.0
+
+
 def _slow(k, speed):
     return lambda robots, loop: list(robots.values())[k].servo.limit(speed)
 

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings, strategies as st
 
+from coopqp.drivers import limited_clock
 from coopqp.drivers.command_spline import CommandSpline
 from coopqp.drivers.limited_clock import LimitedClock
 from coopqp.drivers.play_out import PlayOut
@@ -68,6 +69,15 @@ def test_the_clock_the_mixtures_and_what_is_sent_keep_the_limits_at_hostile_rate
     assert _excess(points, velocity, acceleration) <= _ROUNDING
     assert _excess(mixtures, velocity, acceleration) <= _ROUNDING  # without the cut to the limits
     assert _excess(sent, velocity, acceleration) <= _ROUNDING
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_the_compiled_clock_is_that_of_its_definition(seed, monkeypatch):
+    if limited_clock.compiled() is None:
+        pytest.skip("there is no compiled core")
+    points = _drive(seed, 0.05)[0]
+    monkeypatch.setattr(limited_clock, "_COMPILED", None)
+    np.testing.assert_allclose(points, _drive(seed, 0.05)[0], rtol=0.0, atol=1e-12)
 
 
 def test_an_addition_that_asks_for_too_much_is_cut():

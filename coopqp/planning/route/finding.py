@@ -41,7 +41,7 @@ from coopqp.spatial import Array, Placement, as_placement
 _BELOW, _ABOVE = 0.3, 0.4
 #: Time to make a way shorter and faster [s], and the first part of it, in which other ways are searched: so many at
 #: most, with so many nodes besides twice those of the first.
-_BETTERING, _SEARCHING, _OTHERS, _OTHER_NODES = 0.8, 0.15, 6, 100
+_BETTERING, _SEARCHING, _OTHERS, _OTHER_NODES = 0.7, 0.15, 6, 100
 #: Of the shapes, so many are made faster by a few changes, and then the fastest by many.
 _PROMISING, _FEW_CHANGES, _MANY_CHANGES = 2, 50, 400
 #: Poses of a goal, of those from which the arms hold the object, that the search leads to.

@@ -17,10 +17,12 @@ from coopqp.errors import CoopqpError
 from coopqp.simulation.recording.recording import Recording
 from coopqp.visualization.jog.page import JogPage
 from coopqp.visualization.jog.seen import SILENCE, Seen
-from coopqp.visualization.viewer import LIVE_RATE, require_viser
+from coopqp.visualization.viewer import require_viser
 
 #: How often the link looks whether the page has fallen silent [s].
 _LOOK = 0.05
+#: Time from one drawing to the next [s].
+_DRAWN_EVERY = 0.03
 #: What came of a refused call is shown so long [s].
 _SHOWN = 6.0
 #: The loop's lateness is looked at so often [s], over so many periods.
@@ -96,11 +98,11 @@ class PageLink:
     # -- in the thread that steps ----------------------------------------------------------------------------------
 
     def observe(self, step: ControlStep) -> None:
-        """Show a step, 30 times a second."""
+        """Show a step, 33 times a second."""
         now = time.monotonic()
         if now < self._due:
             return
-        self._due = now + 1.0 / LIVE_RATE
+        self._due = max(self._due + _DRAWN_EVERY, now)
         words = self._words if now < self._words_until else ""
         if now >= self._late_due:
             self._late_due = now + _LATE_EVERY
