@@ -149,7 +149,7 @@ def minutes(duration: float = 600.0) -> Iterator[Row]:
         name: [[f"{name}_{joint}" for joint in _joints(k)], x[own].tolist()]
         for k, (name, own) in enumerate(zip(CELL.arm_names, CELL.v_slices, strict=True))
     }
-    settings = {"arms": arms, "domain": DOMAIN, "lag": 0.02}
+    settings = {"arms": arms, "domain": DOMAIN, "lag": 0.02, "period": DT, "wrenches": False}
     with _node(SUPPORT / "ros2_peer.py", settings) as node:
         drivers = _ros_drivers({"joint_prefix": "{name}_", "lag": 0.02})
         controller = QPController(

@@ -1,10 +1,12 @@
 """Arms behind ROS 2 topics: by rclpy where this Python has it, else by Cyclone DDS. Shares no code with the driver.
 
-Run as ``python ros2_peer.py SETTINGS`` with JSON: ``arms`` (name → joint names and positions), ``domain``, ``lag``. All
-joints stand in one JointState, last ones first; each arm takes ``/NAME/joint_trajectory`` and ``/NAME/commands``, and
+Run as ``python ros2_peer.py SETTINGS`` with JSON: ``arms`` (name → joint names and positions), ``domain``, ``lag``, and
+if it is not to tell states every 4 ms ``period`` [s], and ``wrenches`` false if it is to tell none. All joints stand in
+one JointState, last ones first; each arm takes ``/NAME/joint_trajectory`` and ``/NAME/commands``, and
 tells ``/NAME/wrench``. It prints ``ready``, and for a line ``count`` how many commands each arm got.
 """
 
+import gc
 import json
 import math
 import sys
@@ -23,7 +25,7 @@ class Arm:
         self.goal, self.at, self.count = list(q), 0.0, 0
 
     def take(self, names, positions, at):
-        self.count += 1
+        self.count += bool(positions)  # without it is to stop
         if positions:
             self.goal = [positions[names.index(name)] for name in self.joints]
             self.at = at
@@ -133,7 +135,11 @@ def main(settings):
     reader.start()
     print("ready", type(peer).__name__, flush=True)
     state, wrench = peer.types
-    last = time.time()
+    period, wrenches = settings.get("period", PERIOD), peer.wrenches.values() if settings.get("wrenches", True) else ()
+    sys.setswitchinterval(1e-4)  # commands are taken by another thread
+    gc.collect()
+    gc.freeze()
+    last, deadline = time.time(), time.monotonic()
     while reader.is_alive():
         peer.take()
         now = time.time()
@@ -148,11 +154,12 @@ def main(settings):
                 values += {"name": arm.joints, "position": arm.q, "velocity": arm.velocity}[part]
             setattr(message, part, values[::-1])
         peer.tell(peer.states, message)
-        for publisher in peer.wrenches.values():
+        for publisher in wrenches:
             message = wrench()
             message.wrench.force.x, message.wrench.torque.z = 1.5, -0.5
             peer.tell(publisher, message)
-        time.sleep(PERIOD)
+        deadline = max(deadline + period, time.monotonic())
+        time.sleep(max(deadline - time.monotonic(), 0.0))
 
 
 if __name__ == "__main__":
