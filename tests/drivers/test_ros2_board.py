@@ -22,7 +22,7 @@ from scipy.spatial.transform import Rotation
 
 from coopqp import InvalidInputError, QPController
 from coopqp.cli.main import main
-from coopqp.drivers import LoopOptions, Ros2Board
+from coopqp.drivers import ControlLoop, LoopOptions, Ros2Board
 from coopqp.errors import MissingExtraError
 from coopqp.scenarios import paper_lift
 
@@ -129,6 +129,7 @@ def test_bad_settings_and_a_missing_package_are_said_before_anything_is_done(mon
 
 def test_a_driven_cell_file_tells_how_it_is(tmp_path, capsys, monkeypatch):
     pytest.importorskip("cyclonedds")
+    assert ControlLoop  # it takes the class of its options before that is replaced
     monkeypatch.setattr("coopqp.drivers.options.LoopOptions", partial(LoopOptions, gone_after=10.0))
     text = (CELL_FILES / "two_robots.toml").read_text().replace("duration_s = 2.0", "duration_s = 1.0")
     file = tmp_path / "two.toml"
