@@ -146,7 +146,7 @@ def _on_page(arguments: argparse.Namespace) -> Recording | None:
     if not arguments.quiet:
         p50, p99, most = (1e6 * late for late in run.lateness())
         print(f"{run.steps} steps, late p50 {p50:.0f}, p99 {p99:.0f}, largest {most:.0f} µs; {run.missed} left out")
-        print(f"real-time scheduler: {granted['realtime']}")
+        print(f"real-time scheduler: {granted['realtime']}; the page drew {link.shown} moments and missed {link.lost}")
     if not records:
         return None
     return task.finished(run.recording(dict(task.metadata)))

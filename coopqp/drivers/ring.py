@@ -1,10 +1,11 @@
-"""Rows of numbers in shared memory: one process writes them and waits for nobody, others read them and count losses."""
+"""Rings in shared memory: one process writes rows or objects and waits for nobody, others read and count losses."""
 
 from __future__ import annotations
 
+import pickle
 import tempfile
 from pathlib import Path
-from typing import final
+from typing import Any, final
 
 import numpy as np
 
@@ -80,6 +81,60 @@ class RowRing:
         del self._head, self._rows
         if self._made:
             Path(self.name).unlink(missing_ok=True)
+
+
+@final
+class ObjectRing:
+    """A ring of objects in shared memory: its maker tells them, a reader takes the newest.
+
+    Args:
+        size: largest pickled object [bytes].
+        slots: objects that are kept.
+        name: of a ring that another process has made; None to make one.
+
+    Attributes:
+        name: by which another process attaches to it.
+    """
+
+    def __init__(self, *, size: int = 32_768, slots: int = 8, name: str | None = None) -> None:
+        self._ring = RowRing(1 + -(-size // 8), slots, name=name)
+        self.name = self._ring.name
+        self._passed_over = 0
+
+    @property
+    def lost(self) -> int:
+        """Objects that were not taken, as newer ones had come."""
+        return self._passed_over + self._ring.lost
+
+    @property
+    def ended(self) -> bool:
+        """Whether no more objects will come."""
+        return self._ring.ended
+
+    def tell(self, value: object) -> None:
+        """Put an object into the ring; one that is too large is left out."""
+        packed = np.frombuffer(pickle.dumps(value), np.uint8)
+        row = self._ring.row()
+        if packed.size <= 8 * (row.size - 1):
+            row[0] = packed.size
+            row[1:].view(np.uint8)[: packed.size] = packed
+            self._ring.push()
+
+    def newest(self) -> Any:
+        """The newest object that was not taken yet; None if there is none."""
+        rows = self._ring.read()
+        if not len(rows):
+            return None
+        self._passed_over += len(rows) - 1
+        return pickle.loads(rows[-1, 1:].view(np.uint8)[: int(rows[-1, 0])].tobytes())
+
+    def end(self) -> None:
+        """No more objects will come."""
+        self._ring.end()
+
+    def close(self) -> None:
+        """Give the memory back; its maker takes the name away."""
+        self._ring.close()
 
 
 def _folder() -> str | None:

@@ -12,7 +12,7 @@ import pytest
 from rosbags.highlevel import AnyReader
 
 from coopqp.drivers import BagRecorder
-from coopqp.drivers.ring import RowRing
+from coopqp.drivers.ring import ObjectRing, RowRing
 from coopqp.errors import MissingExtraError, OutputError
 
 JOINTS = ("left/a", "left/b")
@@ -43,6 +43,29 @@ def test_a_ring_gives_all_rows_in_order_and_counts_those_that_were_written_over(
         assert reader.lost == 13
         assert len(reader.read()) == 0
         assert not reader.ended
+        ring.end()
+        assert reader.ended
+    finally:
+        reader.close()
+        ring.close()
+
+
+def test_a_ring_of_objects_gives_the_newest_and_counts_the_others():
+    ring = ObjectRing(size=200, slots=4)
+    reader = ObjectRing(name=ring.name, size=200, slots=4)
+    try:
+        assert reader.newest() is None
+        ring.tell({"q": [1.0, 2.0]})
+        assert reader.newest() == {"q": [1.0, 2.0]}
+        for word in ("a", "b", "c" * 1000):  # the last one is too large
+            ring.tell(word)
+        assert reader.newest() == "b"
+        assert reader.lost == 1
+        for i in range(10):
+            ring.tell(i)
+        assert reader.newest() == 9
+        assert reader.lost == 10
+        assert reader.newest() is None
         ring.end()
         assert reader.ended
     finally:

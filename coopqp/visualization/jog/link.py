@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import math
 import multiprocessing
+import os
 import signal
 import threading
 import time
@@ -13,6 +14,7 @@ from multiprocessing.connection import Connection
 from typing import Any, final
 
 from coopqp.control.interface import ControlStep
+from coopqp.drivers.ring import ObjectRing
 from coopqp.errors import CoopqpError
 from coopqp.simulation.recording.recording import Recording
 from coopqp.visualization.jog.page import JogPage
@@ -21,8 +23,8 @@ from coopqp.visualization.viewer import require_viser
 
 #: How often the link looks whether the page has fallen silent [s].
 _LOOK = 0.05
-#: Time from one drawing to the next [s].
-_DRAWN_EVERY = 0.03
+#: Time from one drawing to the next, and how often the page's process looks for something new [s].
+_DRAWN_EVERY, _READ_EVERY = 0.03, 0.005
 #: What came of a refused call is shown so long [s].
 _SHOWN = 6.0
 #: The loop's lateness is looked at so often [s], over so many periods.
@@ -46,7 +48,7 @@ class PageLink:
     Attributes:
         url: address for the browser.
         delays: from when the page's process had a call until the controller had it [s].
-        shown: how often the cell was drawn.
+        shown, lost: how often the cell was drawn, and how often the page was too slow for it.
 
     Raises:
         MissingExtraError: viser is not installed.
@@ -57,43 +59,52 @@ class PageLink:
         require_viser()
         self._run = run
         self.delays: deque[float] = deque(maxlen=_KEPT)
-        self.shown = 0
+        self.shown = self.lost = 0
         self._began, self._due = time.monotonic(), -math.inf
         self._late: tuple[float, float] | None = None
         self._late_due = -math.inf
         self._words, self._words_until = "", -math.inf
         self._silent, self._heard = True, -math.inf
-        self._latest: deque[Seen] = deque(maxlen=1)
-        self._fresh, self._closed = threading.Event(), False
+        self._closed = False
+        self._ring = ObjectRing()
         context = multiprocessing.get_context("spawn")
         self._link, theirs = context.Pipe()
         self._process = context.Process(
-            target=serve_page, args=(theirs, recording, port, sticks, run.controller.override), daemon=True
+            target=serve_page,
+            args=(theirs, self._ring.name, recording, port, sticks, run.controller.override),
+            daemon=True,
         )
         self._process.start()
         theirs.close()
         try:
+            self.url = self._opened()
+        except CoopqpError:
+            self._ring.close()
+            raise
+        threading.Thread(target=self._listen, daemon=True).start()
+
+    def _opened(self) -> str:
+        """The page's address, once it is there."""
+        try:
             if not self._link.poll(_OPENING):
                 raise CoopqpError("the page did not open within 60 s.")
-            answer = self._link.recv()
+            answer: str | CoopqpError = self._link.recv()
         except EOFError as error:
             raise CoopqpError("the page's process ended before the page was there.") from error
-        if isinstance(answer, Exception):
+        if isinstance(answer, CoopqpError):
             raise answer
-        self.url: str = answer
-        self._threads = [threading.Thread(target=work, daemon=True) for work in (self._listen, self._show)]
-        for thread in self._threads:
-            thread.start()
+        return answer
 
     def close(self) -> None:
         """End the page's process."""
         self._closed = True
-        self._fresh.set()
+        self._ring.end()
         self._link.close()
         self._process.join(3.0)
         if self._process.is_alive():
             self._process.terminate()
             self._process.join()
+        self._ring.close()
 
     # -- in the thread that steps ----------------------------------------------------------------------------------
 
@@ -109,17 +120,9 @@ class PageLink:
             late = self._run.lateness(_LATE_OF)
             self._late = None if late is None else late[1:]
         time_s = now - self._began
-        self._latest.append(Seen.of(step, self._run.controller, time=time_s, late=self._late, words=words))
-        self._fresh.set()
+        self._ring.tell(Seen.of(step, self._run.controller, time=time_s, late=self._late, words=words))
 
-    # -- in threads of its own -------------------------------------------------------------------------------------
-
-    def _show(self) -> None:
-        while not self._closed:
-            self._fresh.wait()
-            self._fresh.clear()
-            with contextlib.suppress(OSError, ValueError, IndexError):
-                self._link.send(self._latest.pop())
+    # -- in a thread of its own ------------------------------------------------------------------------------------
 
     def _listen(self) -> None:
         while not self._closed:
@@ -141,6 +144,7 @@ class PageLink:
     def _take(self, sent: float, name: str, values: tuple[Any, ...], named: dict[str, Any]) -> None:
         if name == "shown":
             self.shown += 1
+            (self.lost,) = values
             return
         if name == "beat":
             self._heard, self._silent = time.monotonic(), False
@@ -155,9 +159,10 @@ class PageLink:
         self._words, self._words_until = words, time.monotonic() + _SHOWN
 
 
-def serve_page(link: Connection, recording: Recording, port: int, sticks: bool, override: float) -> None:
-    """Serve the page until the link closes: the whole of its process."""
+def serve_page(link: Connection, name: str, recording: Recording, port: int, sticks: bool, override: float) -> None:
+    """Serve the page until the ring of that name ends, or the run's process: the whole of its own process."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # the run ends it
+    parent, ring = os.getppid(), ObjectRing(name=name)
     lock = threading.Lock()
 
     def tell(name: str, *values: Any, **named: Any) -> None:
@@ -170,11 +175,11 @@ def serve_page(link: Connection, recording: Recording, port: int, sticks: bool, 
         link.send(error)
         return
     link.send(page.url)
-    with contextlib.suppress(EOFError, OSError):
-        while True:
-            seen = link.recv()
-            while link.poll():
-                seen = link.recv()
+    while not ring.ended and os.getppid() == parent:
+        seen = ring.newest()
+        if seen is None:
+            time.sleep(_READ_EVERY)
+        else:
             page.show(seen)
-            tell("shown")
+            tell("shown", ring.lost)
     page.close()
