@@ -124,7 +124,7 @@ def length_in_their_coordinates(cell: RobotCell, joints: Array) -> float:
 
     The joints of both arms cannot be meant: between the ends of the first query they differ by 2.41 rad, and the length
     that is published is 2.09 rad. In these coordinates the ends differ by 1.88 or 1.97 rad, and by elbow angles of
-    0.8200 and 0.9600 rad: numbers that somebody chose. Either arm may lead; the longer length is given.
+    0.8200 and 0.9600 rad: round numbers, as one chooses them. Either arm may lead; the longer length is given.
     """
     lengths = []
     for leader, follower in (("left", "right"), ("right", "left")):

@@ -35,7 +35,7 @@ class Plan:
     """Seeds of problems and of queries, random scenes, bodies ahead, seeds of the peer, and the longest search [s]."""
 
     seeds: int = 100
-    shelves: int = 20
+    shelves: int = 34
     scenes: int = 300
     ahead: int = 100
     peer_seeds: int = 10

@@ -245,6 +245,7 @@ def _drive(
     from coopqp.drivers.led_loop import ShownRecorder
     from coopqp.drivers.loop import ControlLoop
     from coopqp.drivers.options import LoopOptions
+    from coopqp.drivers.process import BESIDE_PAGE
     from coopqp.drivers.recorder import MemoryRecorder
     from coopqp.drivers.ros2_board import Ros2Board, Ros2BoardOptions
     from coopqp.files.cellfile.strict import build_options
@@ -260,7 +261,8 @@ def _drive(
     shown = ShownRecorder(recorder)
     table = run.settings.ros2
     plain = lead is None and table is None
-    loop = ControlLoop(controller, drivers, LoopOptions(ramp_time=2.0), recorder=recorder if plain else shown)
+    options = LoopOptions(ramp_time=2.0, realtime=None if lead is None else BESIDE_PAGE)
+    loop = ControlLoop(controller, drivers, options, recorder=recorder if plain else shown)
     with contextlib.ExitStack() as ending:
         if isinstance(recorder, BagRecorder):
             ending.callback(recorder.close)

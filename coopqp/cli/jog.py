@@ -128,7 +128,7 @@ def _by_script(arguments: argparse.Namespace) -> Recording:
 def _on_page(arguments: argparse.Namespace) -> Recording | None:
     """Serve the page until Ctrl-C; what was recorded."""
     from coopqp.cli.runs import obtain_task
-    from coopqp.drivers.process import BESIDE_PAGE, prepare_process
+    from coopqp.drivers.process import BESIDE_PAGE, leave_realtime, prepare_process
     from coopqp.drivers.real_time import RealTimeRun
     from coopqp.visualization.viewer import require_viser
 
@@ -142,11 +142,12 @@ def _on_page(arguments: argparse.Namespace) -> Recording | None:
             granted = prepare_process(realtime=BESIDE_PAGE, lock_memory=False, core=None)
             run.run(link.observe)
         finally:
+            leave_realtime()
             link.close()
     if not arguments.quiet:
         p50, p99, most = (1e6 * late for late in run.lateness())
         print(f"{run.steps} steps, late p50 {p50:.0f}, p99 {p99:.0f}, largest {most:.0f} µs; {run.missed} left out")
-        print(f"real-time scheduler: {granted['realtime']}; the page drew {link.shown} moments and missed {link.lost}")
+        print(f"real-time scheduler: {granted['realtime']}; the page drew {link.shown} of {link.told} moments")
     if not records:
         return None
     return task.finished(run.recording(dict(task.metadata)))

@@ -27,7 +27,8 @@ class CommandSpline:
         size: how many points are kept.
 
     Attributes:
-        points: the control points and the clock at each, in a ring that is kept twice (2 size, n + 1).
+        points: the control points, and the clock at each as the last number (2 size, n + 1); both halves are the same
+            ring.
         count: how many points came so far.
     """
 

@@ -2,8 +2,8 @@
 
 The lateness e of an arm is the time along the way by which it is behind the point where all arms should be. The clock
 runs at w = 1 − g (e − e₀)⁺ − I, with an integral I that leaks; with w ≈ 0 and an arm at rest the clock goes back until
-the others stand where it stands. e₀ is 1 ms, and more on a slow way: no servo stands exactly where it should, and on a
-way that ends a little distance is much time. Without that the clock would wait at the end for what never comes.
+the others stand where it stands. e₀ is 1 ms and what a small distance makes of it: no servo stands exactly where it
+should, and near the end of a way a little distance is much time. Without that the clock would wait there for ever.
 """
 
 from __future__ import annotations
@@ -16,8 +16,6 @@ from coopqp.spatial import Array
 
 #: Lateness that costs no rate [s], and what the rest costs [1/s].
 FREE, GAIN = 1e-3, 100.0
-#: Distance along the way that costs no rate: what the arm travels in this time at its largest speed [s].
-RESOLUTION = 1e-4
 #: The integral of lateness: its gain [1/s²], and the time in which it is forgotten [s].
 INTEGRAL_GAIN, FORGETTING = 1500.0, 0.2
 #: The clock takes up a rate in this time [s].
@@ -59,12 +57,12 @@ class FollowSlowest:
         self.rate, self.stopped, self._integral = 1.0, False, 0.0
         self._own[:] = 1.0
 
-    def step(self, lateness: Array, speed: Array, own: Array, said: Array) -> float:
+    def step(self, lateness: Array, allowed: Array, own: Array, said: Array) -> float:
         """Take what is known of the arms; return w.
 
         Args:
             lateness: e of each arm (arms,) [s]; NaN where it is not known.
-            speed: how fast the way is for each arm, as a share of its largest speed (arms,).
+            allowed: the lateness of an arm that stands as exactly as servos do (arms,) [s].
             own: the rate at which each arm goes along the way (arms,).
             said: whether each arm says that it has stopped (arms,).
         """
@@ -73,8 +71,11 @@ class FollowSlowest:
         self._own += np.where(known, share * (own - self._own), 0.0)
         e = over = 0.0
         if known.any():
-            beyond = lateness - FREE - RESOLUTION / np.maximum(speed, RESOLUTION)
-            self.slowest = int(np.nanargmax(lateness if self.stopped else beyond))
+            beyond = lateness - FREE - allowed
+            furthest = int(np.nanargmax(beyond))
+            # On the way back to an arm that stopped, one that is merely inexact does not take its place.
+            if not self.stopped or beyond[furthest] > 0.0 or not known[self.slowest]:
+                self.slowest = furthest
             e, over = float(lateness[self.slowest]), max(float(beyond[self.slowest]), 0.0)
         self._integral += self._h * (INTEGRAL_GAIN * over - self._integral / FORGETTING)
         self._integral = min(max(self._integral, 0.0), 1.0)

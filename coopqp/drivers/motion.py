@@ -23,6 +23,9 @@ from coopqp.spatial import Array
 _LEARNS_FROM = 1e-3
 #: Below this share of its speed limits a robot's place says little of how late it is.
 _SLOW = 5e-3
+#: A robot that is no further off its place along the way than its joints together travel in this time at their largest
+#: speeds is not late [s].
+RESOLUTION = 1e-4
 #: Periods of the history of the shared clock.
 _HISTORY = 1024
 
@@ -82,8 +85,10 @@ class SharedMotion:
         self._lead = lead
         self._wait = lead + float(delay.max(initial=0.0))
         self.lateness = np.full(n, np.nan)
-        #: How fast the way is for each robot, the rate at which it goes along it, and where it was seen last, and when.
-        self._speed, self._own = np.zeros(n), np.zeros(n)
+        #: The lateness that RESOLUTION makes of each robot.
+        self._allowed = np.zeros(n)
+        #: The rate at which each robot goes along the way, and where it was seen last, at what time.
+        self._own = np.zeros(n)
         self._seen: list[tuple[float, Array] | None] = [None] * n
         self._learnt = False
         self._times = np.full(_HISTORY, -np.inf)
@@ -164,7 +169,8 @@ class SharedMotion:
             left = self._learning[k] / self._options.learning_time
             seen = max(seen - unknown * left * max(rate, 0.0), 0.0)
         self.lateness[k] = seen
-        self._speed[k] = math.sqrt(float(slope @ (scale * slope)))
+        speed = math.sqrt(float(slope @ (scale * slope)))
+        self._allowed[k] = RESOLUTION * speed / (speed * speed + _SLOW**2)
         place = np.asarray(state.q if state.target is None else state.target, dtype=float)
         last = self._seen[k]
         if last is not None and moment > last[0]:
@@ -216,7 +222,7 @@ class SharedMotion:
             said: which robots say that they have stopped (robots,).
             stand: brake, and stay where the brake ends.
         """
-        rate = self.law.step(self.lateness, self._speed, self._own, said)
+        rate = self.law.step(self.lateness, self._allowed, self._own, said)
         play_out, shared = self.play_out, self.shared
         if stand:
             wanted = 0.0

@@ -37,6 +37,11 @@ def prepare_process(*, realtime: int | None, lock_memory: bool, core: int | None
     return found
 
 
+def leave_realtime() -> None:
+    """Go back to the ordinary scheduler."""
+    _tried(lambda: os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0)), "")
+
+
 def _tried(call: Callable[[], object], done: str) -> str:
     try:
         call()

@@ -83,6 +83,8 @@ class LoopReport:
         lost = sum(self.lost.values())
         text.append(f"{self.commands} commands to each robot; {lost} states lost or overtaken")
         text.append("lags " + ", ".join(f"{name} {1e3 * lag:.0f} ms" for name, lag in self.lags.items()))
+        if "realtime" in self.process:
+            text.append(f"real-time scheduler: {self.process['realtime']}")
         text += [f"refused {call}" for call in self.refused_calls]
         text.append("statuses: " + ", ".join(f"{name} {count}" for name, count in self.statuses.items()))
         return text

@@ -77,8 +77,7 @@ class RowRing:
         return rows[kept - first :]
 
     def close(self) -> None:
-        """Give the memory back; its maker takes the name away."""
-        del self._head, self._rows
+        """Its maker takes the name away; the memory is given back with the last process that uses it."""
         if self._made:
             Path(self.name).unlink(missing_ok=True)
 
@@ -96,15 +95,9 @@ class ObjectRing:
         name: by which another process attaches to it.
     """
 
-    def __init__(self, *, size: int = 32_768, slots: int = 8, name: str | None = None) -> None:
+    def __init__(self, *, size: int = 65_536, slots: int = 8, name: str | None = None) -> None:
         self._ring = RowRing(1 + -(-size // 8), slots, name=name)
         self.name = self._ring.name
-        self._passed_over = 0
-
-    @property
-    def lost(self) -> int:
-        """Objects that were not taken, as newer ones had come."""
-        return self._passed_over + self._ring.lost
 
     @property
     def ended(self) -> bool:
@@ -125,7 +118,6 @@ class ObjectRing:
         rows = self._ring.read()
         if not len(rows):
             return None
-        self._passed_over += len(rows) - 1
         return pickle.loads(rows[-1, 1:].view(np.uint8)[: int(rows[-1, 0])].tobytes())
 
     def end(self) -> None:
@@ -133,7 +125,7 @@ class ObjectRing:
         self._ring.end()
 
     def close(self) -> None:
-        """Give the memory back; its maker takes the name away."""
+        """As :meth:`RowRing.close`."""
         self._ring.close()
 
 

@@ -17,8 +17,9 @@ struct Curve {
 
     /* The three rows that matter at s periods, and the share of the way between their middles. */
     const double *rows(double s, double &share) const {
-        const Py_ssize_t oldest = std::max<Py_ssize_t>(0, count - size);
-        const Py_ssize_t i = std::min(std::max((Py_ssize_t)std::floor(s), oldest), count - 3);
+        const double oldest = (double)std::max<Py_ssize_t>(0, count - size), newest = (double)(count - 3);
+        const double whole = std::floor(s); /* or NaN, which is no place in memory */
+        const Py_ssize_t i = (Py_ssize_t)(whole > oldest ? std::min(whole, newest) : oldest);
         share = std::min(std::max(s - (double)i, 0.0), 1.0);
         return points + i % size * (joints + 1);
     }

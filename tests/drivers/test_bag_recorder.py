@@ -50,7 +50,7 @@ def test_a_ring_gives_all_rows_in_order_and_counts_those_that_were_written_over(
         ring.close()
 
 
-def test_a_ring_of_objects_gives_the_newest_and_counts_the_others():
+def test_a_ring_of_objects_gives_the_newest():
     ring = ObjectRing(size=200, slots=4)
     reader = ObjectRing(name=ring.name, size=200, slots=4)
     try:
@@ -60,17 +60,17 @@ def test_a_ring_of_objects_gives_the_newest_and_counts_the_others():
         for word in ("a", "b", "c" * 1000):  # the last one is too large
             ring.tell(word)
         assert reader.newest() == "b"
-        assert reader.lost == 1
         for i in range(10):
             ring.tell(i)
         assert reader.newest() == 9
-        assert reader.lost == 10
         assert reader.newest() is None
         ring.end()
         assert reader.ended
     finally:
         reader.close()
         ring.close()
+    ring.tell(10)  # left out, and no error
+    ring.close()
 
 
 @pytest.mark.slow

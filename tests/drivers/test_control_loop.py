@@ -19,6 +19,8 @@ from coopqp.drivers import (
     RobotState,
     SimulatedRobot,
 )
+from coopqp.drivers.follow_slowest import FollowSlowest
+from coopqp.drivers.motion import RESOLUTION
 from coopqp.drivers.timing import ClockOffset
 from coopqp.errors import StiffnessWarning
 from coopqp.scenarios import mixed_cell, paper_lift
@@ -100,6 +102,45 @@ def test_a_servo_that_is_never_exact_does_not_stop_the_run_where_its_way_ends(ce
     assert run.report.finished, run.report.reason
     assert run.report.stops == 0
     assert run.report.time <= 2.0
+
+
+def _turned_back(law, offset, seconds):
+    """Where the clock comes to rest after the first of two arms froze at 1 s of the way [s].
+
+    The second arm's way is slow. It is ``offset`` off its place: what it travels in this time at its largest speed [s].
+    """
+    h, clock, speeds = 0.002, 1.05, np.array([0.3, 0.01])
+    away = speeds / (speeds**2 + 5e-3**2)  # lateness per distance, as the motion measures it
+    for _ in range(round(seconds / h)):
+        frozen = speeds[0] * (clock - 1.0)
+        lateness = away * np.array([frozen, offset])
+        rate = law.step(lateness, RESOLUTION * away, np.array([0.0, law.rate]), np.zeros(2, dtype=bool))
+        clock += h * rate
+    return clock
+
+
+@pytest.mark.parametrize("offset", [0.0, 0.5 * RESOLUTION, RESOLUTION])
+def test_the_way_back_ends_at_the_arm_that_stopped_and_not_behind_an_inexact_one(offset):
+    law = FollowSlowest(2, period=0.002)
+    assert _turned_back(law, offset, 5.0) == pytest.approx(1.0, abs=2e-3)
+    assert law.stopped
+    assert law.slowest == 0
+
+
+def test_a_lateness_that_is_not_known_leaves_the_way_back_to_the_others():
+    law, nobody = FollowSlowest(2, period=0.002), np.zeros(2, dtype=bool)
+    for _ in range(100):
+        law.step(np.array([0.1, 0.0]), np.zeros(2), np.zeros(2), nobody)
+    assert law.stopped
+    law.step(np.array([np.nan, 0.05]), np.zeros(2), np.zeros(2), nobody)
+    assert law.slowest == 1
+    assert law.rate < 0.0
+
+
+def test_a_robot_that_stops_just_before_the_end_is_missed(cell, lift):
+    run = drive(cell, lift, (0.0,) * 3, events=[(1.35, lambda robots, loop: robots["slave_1"].servo.halt())])
+    assert not run.report.finished
+    assert run.report.stops == 1
 
 
 def _slow(k, speed):

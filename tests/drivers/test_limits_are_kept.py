@@ -34,12 +34,12 @@ def _excess(sent, velocity, acceleration):
     return max(fastest.max(), hardest.max()) - 1.0
 
 
-def _drive(seed, share, number=500):
+def _drive(seed, share, number=500, size=4096):
     """Points of the clock, mixtures and commands of a run with hostile rates, and its parts."""
     rng = np.random.default_rng(seed)
     velocity, acceleration = rng.uniform(0.2, 2.0, _JOINTS), rng.uniform(0.8, 40.0, _JOINTS)
     commands = _commands(rng, velocity, acceleration, number)
-    spline = CommandSpline(commands[0], clock=0.0, period=_PERIOD)
+    spline = CommandSpline(commands[0], clock=0.0, period=_PERIOD, size=size)
     clock = LimitedClock(spline, period=_PERIOD, velocity=velocity, acceleration=acceleration)
     lag, delay = rng.uniform(0.005, 0.15, _JOINTS), rng.uniform(0.0, 29.0, _JOINTS) * _PERIOD
     parts = {"delay": delay, "velocity": velocity, "acceleration": acceleration, "period": _PERIOD}
@@ -71,13 +71,26 @@ def test_the_clock_the_mixtures_and_what_is_sent_keep_the_limits_at_hostile_rate
     assert _excess(sent, velocity, acceleration) <= _ROUNDING
 
 
+@pytest.mark.core
+@pytest.mark.skipif(limited_clock.compiled() is None, reason="there is no compiled core")
 @pytest.mark.parametrize("seed", range(3))
 def test_the_compiled_clock_is_that_of_its_definition(seed, monkeypatch):
-    if limited_clock.compiled() is None:
-        pytest.skip("there is no compiled core")
-    points = _drive(seed, 0.05)[0]
+    points = _drive(seed, 0.05, size=64)[0]
     monkeypatch.setattr(limited_clock, "_COMPILED", None)
-    np.testing.assert_allclose(points, _drive(seed, 0.05)[0], rtol=0.0, atol=1e-12)
+    np.testing.assert_allclose(points, _drive(seed, 0.05, size=64)[0], rtol=0.0, atol=1e-12)
+
+
+@pytest.mark.core
+@pytest.mark.skipif(limited_clock.compiled() is None, reason="there is no compiled core")
+def test_the_compiled_clock_tests_its_numbers():
+    n, rows = 3, 8
+    good = [np.zeros((rows, n + 1)), 5, 0.002, *np.zeros((4, n)), 0.0, 0.002, 1.0, 0.5]
+    rate = limited_clock.compiled().limited_rate
+    assert rate(*good) == 1.0
+    assert rate(*good[:7], np.nan, *good[8:]) == 0.5  # no place on the curve; the last rate always keeps the limits
+    for i, bad in ((0, np.zeros((rows, n))), (1, 2), (3, np.zeros(n + 1)), (6, np.zeros(n - 1))):
+        with pytest.raises(ValueError, match="do not fit"):
+            rate(*good[:i], bad, *good[i + 1 :])
 
 
 def test_an_addition_that_asks_for_too_much_is_cut():

@@ -52,6 +52,11 @@ def test_packets_come_back_as_they_were():
     np.testing.assert_array_equal(back, q)
 
 
+def test_a_command_before_the_first_reading_arrives(robot):
+    robot.send(Command(np.array([0.11, -0.19]), np.zeros(2), 1000.0))
+    _until(robot, lambda s: np.abs(s.q - [0.11, -0.19]).max() < 1e-9)
+
+
 def test_a_robot_goes_where_it_is_sent_stops_and_says_so(robot):
     state = _until(robot, lambda s: True)
     assert state.stamp > 999.0

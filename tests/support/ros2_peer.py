@@ -1,8 +1,8 @@
 """Arms behind ROS 2 topics: by rclpy where this Python has it, else by Cyclone DDS. Shares no code with the driver.
 
-Run as ``python ros2_peer.py SETTINGS`` with JSON: ``arms`` (name → joint names and positions), ``domain``, ``lag``, and
-if it is not to tell states every 4 ms ``period`` [s], and ``wrenches`` false if it is to tell none. All joints stand in
-one JointState, last ones first; each arm takes ``/NAME/joint_trajectory`` and ``/NAME/commands``, and
+Run as ``python ros2_peer.py SETTINGS`` with JSON: ``arms`` (name → joint names and positions), ``domain``, ``lag``;
+optional: ``period`` between two states [s] (0.004), ``wrenches`` (true). All joints stand in one JointState, last ones
+first; each arm takes ``/NAME/joint_trajectory`` and ``/NAME/commands``, and
 tells ``/NAME/wrench``. It prints ``ready``, and for a line ``count`` how many commands each arm got.
 """
 
@@ -25,7 +25,7 @@ class Arm:
         self.goal, self.at, self.count = list(q), 0.0, 0
 
     def take(self, names, positions, at):
-        self.count += bool(positions)  # without it is to stop
+        self.count += bool(positions)  # a trajectory without points is an order to stop
         if positions:
             self.goal = [positions[names.index(name)] for name in self.joints]
             self.at = at

@@ -48,7 +48,7 @@ class PageLink:
     Attributes:
         url: address for the browser.
         delays: from when the page's process had a call until the controller had it [s].
-        shown, lost: how often the cell was drawn, and how often the page was too slow for it.
+        shown, told: how often the cell was drawn, and how often it was to be drawn.
 
     Raises:
         MissingExtraError: viser is not installed.
@@ -59,7 +59,7 @@ class PageLink:
         require_viser()
         self._run = run
         self.delays: deque[float] = deque(maxlen=_KEPT)
-        self.shown = self.lost = 0
+        self.shown = self.told = 0
         self._began, self._due = time.monotonic(), -math.inf
         self._late: tuple[float, float] | None = None
         self._late_due = -math.inf
@@ -74,12 +74,12 @@ class PageLink:
             args=(theirs, self._ring.name, recording, port, sticks, run.controller.override),
             daemon=True,
         )
-        self._process.start()
-        theirs.close()
         try:
+            self._process.start()
+            theirs.close()
             self.url = self._opened()
-        except CoopqpError:
-            self._ring.close()
+        except BaseException:
+            self.close()
             raise
         threading.Thread(target=self._listen, daemon=True).start()
 
@@ -96,14 +96,15 @@ class PageLink:
         return answer
 
     def close(self) -> None:
-        """End the page's process."""
+        """End the page's process; what is told later is left out."""
         self._closed = True
         self._ring.end()
         self._link.close()
-        self._process.join(3.0)
-        if self._process.is_alive():
-            self._process.terminate()
-            self._process.join()
+        if self._process.pid is not None:  # it was started
+            self._process.join(3.0)
+            if self._process.is_alive():
+                self._process.terminate()
+                self._process.join()
         self._ring.close()
 
     # -- in the thread that steps ----------------------------------------------------------------------------------
@@ -111,7 +112,7 @@ class PageLink:
     def observe(self, step: ControlStep) -> None:
         """Show a step, 33 times a second."""
         now = time.monotonic()
-        if now < self._due:
+        if self._closed or now < self._due:
             return
         self._due = max(self._due + _DRAWN_EVERY, now)
         words = self._words if now < self._words_until else ""
@@ -120,6 +121,7 @@ class PageLink:
             late = self._run.lateness(_LATE_OF)
             self._late = None if late is None else late[1:]
         time_s = now - self._began
+        self.told += 1
         self._ring.tell(Seen.of(step, self._run.controller, time=time_s, late=self._late, words=words))
 
     # -- in a thread of its own ------------------------------------------------------------------------------------
@@ -144,7 +146,6 @@ class PageLink:
     def _take(self, sent: float, name: str, values: tuple[Any, ...], named: dict[str, Any]) -> None:
         if name == "shown":
             self.shown += 1
-            (self.lost,) = values
             return
         if name == "beat":
             self._heard, self._silent = time.monotonic(), False
@@ -181,5 +182,5 @@ def serve_page(link: Connection, name: str, recording: Recording, port: int, sti
             time.sleep(_READ_EVERY)
         else:
             page.show(seen)
-            tell("shown", ring.lost)
+            tell("shown")
     page.close()
