@@ -20,7 +20,6 @@ import pinocchio as pin
 
 from coopqp import ControlStep, QPController, Recording, Status, simulate
 from coopqp.drivers import RealTimeRun
-from coopqp.drivers.process import BESIDE_PAGE, prepare_process
 from coopqp.scenarios import Scenario, dual_arm7
 from coopqp.simulation import describe_object, read_run
 from coopqp.visualization import PageLink
@@ -30,6 +29,8 @@ from browser import Page, find_browser  # type: ignore[import-not-found]
 
 KEYS = ("figure", "alone", "page", "bound", "unit")
 _WIDTH, _HEIGHT = 900, 520
+#: Of the FIFO scheduler, as ``coopqp jog`` asks for it.
+_PRIORITY = 20
 #: Where the gizmo's upper arrow is at the start, as shares of the picture, and how far it is dragged [px].
 _ARROW, _DRAGGED = (0.521, 0.518), 30.0
 
@@ -38,15 +39,11 @@ class Session:
     """A run in a thread of its own, and what was seen of it."""
 
     def __init__(self, task: Scenario, *, records: bool) -> None:
-        self.run = RealTimeRun(_controller(task), task.q_start, records=records)
+        self.run = RealTimeRun(_controller(task), task.q_start, records=records, realtime=_PRIORITY)
         self.last: ControlStep | None = None
         self.observe: Callable[[ControlStep], None] | None = None
-        self._thread = threading.Thread(target=self._loop, daemon=True)
+        self._thread = threading.Thread(target=lambda: self.run.run(self._step), daemon=True)
         self._ends = threading.Event()
-
-    def _loop(self) -> None:
-        prepare_process(realtime=BESIDE_PAGE, lock_memory=False, core=None)  # as coopqp jog does
-        self.run.run(self._step)
 
     def _step(self, step: ControlStep) -> None:
         self.last = step

@@ -128,26 +128,24 @@ def _by_script(arguments: argparse.Namespace) -> Recording:
 def _on_page(arguments: argparse.Namespace) -> Recording | None:
     """Serve the page until Ctrl-C; what was recorded."""
     from coopqp.cli.runs import obtain_task
-    from coopqp.drivers.process import BESIDE_PAGE, leave_realtime, prepare_process
+    from coopqp.drivers.process import BESIDE_PAGE
     from coopqp.drivers.real_time import RealTimeRun
     from coopqp.visualization.viewer import require_viser
 
     require_viser()
     task = obtain_task(arguments.cell)
     records = arguments.record is not None
-    run = RealTimeRun(task.controller(), task.q_start, task.plant(), records=records)
+    run = RealTimeRun(task.controller(), task.q_start, task.plant(), records=records, realtime=BESIDE_PAGE)
     with _interrupts(run):
         link = _linked(run, task, arguments)
         try:
-            granted = prepare_process(realtime=BESIDE_PAGE, lock_memory=False, core=None)
             run.run(link.observe)
         finally:
-            leave_realtime()
             link.close()
     if not arguments.quiet:
         p50, p99, most = (1e6 * late for late in run.lateness())
         print(f"{run.steps} steps, late p50 {p50:.0f}, p99 {p99:.0f}, largest {most:.0f} µs; {run.missed} left out")
-        print(f"real-time scheduler: {granted['realtime']}; the page drew {link.shown} of {link.told} moments")
+        print(f"real-time scheduler: {run.scheduler}; the page drew {link.shown} of {link.told} moments")
     if not records:
         return None
     return task.finished(run.recording(dict(task.metadata)))

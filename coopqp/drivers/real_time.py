@@ -9,6 +9,7 @@ from typing import Any, final
 import numpy as np
 
 from coopqp.control.interface import ControlStep
+from coopqp.drivers.process import leave_realtime, prepare_process
 from coopqp.drivers.timing import LoopTime, MonotonicTime
 from coopqp.errors import CoopqpError, InvalidInputError
 from coopqp.simulation.plants.kinematic import KinematicPlant, Plant
@@ -34,10 +35,12 @@ class RealTimeRun:
         q_start: where it begins (nq,).
         plant: the plant; an ideal one by default.
         records: keep the run for :meth:`recording`.
+        realtime: priority of the FIFO scheduler that :meth:`run` asks for, 1 to 99; None for the ordinary one.
         time: the clock; the machine's by default.
 
     Attributes:
         steps, missed: steps so far, and periods that were left out after overruns.
+        scheduler: what came of asking for the FIFO scheduler, in words.
     """
 
     def __init__(
@@ -47,6 +50,7 @@ class RealTimeRun:
         plant: Plant | None = None,
         *,
         records: bool = False,
+        realtime: int | None = None,
         time: LoopTime | None = None,
     ) -> None:
         if getattr(controller, "needs_wrenches", False) or not callable(getattr(controller, "jog", None)):
@@ -58,6 +62,7 @@ class RealTimeRun:
         self._calls: deque[Callable[[], None]] = deque()
         self._stopped = False
         self._late = np.zeros(_KEPT)
+        self._realtime, self.scheduler = realtime, "ordinary"
         self.steps = self.missed = 0
         controller.pause()
         self._begin()
@@ -102,6 +107,16 @@ class RealTimeRun:
 
     def run(self, observe: Callable[[ControlStep], None] | None = None) -> None:
         """Step until :meth:`stop`, once at least; ``observe`` is called with each step."""
+        if self._realtime is None:
+            self._steps(observe)
+            return
+        self.scheduler = prepare_process(realtime=self._realtime, lock_memory=False, core=None)["realtime"]
+        try:
+            self._steps(observe)
+        finally:
+            leave_realtime()
+
+    def _steps(self, observe: Callable[[ControlStep], None] | None) -> None:
         time, h = self._time, self.controller.dt
         deadline = time.now()
         while True:
