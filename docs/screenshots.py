@@ -25,6 +25,9 @@ from coopqp.visualization.jog.page import JogPage
 from coopqp.visualization.jog.seen import Seen
 
 TRACK = "[class*=Slider-track]"
+#: Time between two looks at a picture [s]. Each look draws a frame; viser takes frames that follow each other within
+#: half a second for what the machine can do, and draws more coarsely where that is little.
+_SELDOM = 0.7
 
 
 def run_at_limit() -> Recording:
@@ -137,13 +140,13 @@ def shoot(
             page.open(file.as_uri())
             page.wait_until(lambda: page.evaluate(f"!!document.querySelector('{TRACK}')"))
             page.wait_until(lambda: page.evaluate("!!document.querySelector('canvas')"))
-            page.wait_until(lambda: _drawn(page.screenshot()), timeout=90)
+            page.wait_until(lambda: _drawn(page.screenshot()), timeout=90, every=_SELDOM)
             _without_notes(page)
             if share is not None:
                 page.pause()
                 track = page.box(TRACK)
                 page.press(track["left"] + share * track["width"], track["top"] + 0.5 * track["height"])
-            Image.fromarray(page.settled().astype("uint8")).quantize(200).save(picture, optimize=True)
+            Image.fromarray(page.settled(every=_SELDOM).astype("uint8")).quantize(200).save(picture, optimize=True)
 
 
 #: Pictures by the name of the command.
