@@ -62,8 +62,9 @@ class ByRclpy:
         self.wrenches = {}
         for name, arm in arms.items():
             self.wrenches[name] = self.node.create_publisher(WrenchStamped, f"/{name}/wrench", 10)
-            self.node.create_subscription(JointTrajectory, f"/{name}/joint_trajectory", by_trajectory(arm), 10)
-            self.node.create_subscription(Float64MultiArray, f"/{name}/commands", by_positions(arm), 10)
+            # Deep enough for what comes while this process is not run.
+            self.node.create_subscription(JointTrajectory, f"/{name}/joint_trajectory", by_trajectory(arm), 100)
+            self.node.create_subscription(Float64MultiArray, f"/{name}/commands", by_positions(arm), 100)
         threading.Thread(target=rclpy.spin, args=(self.node,), daemon=True).start()
 
     def tell(self, publisher, message):
