@@ -22,7 +22,7 @@ from coopqp.drivers.calls import LoopCalls
 from coopqp.drivers.driver import STANDS, Bodies, Command, Condition, DriverError, LoopRecorder, RobotDriver
 from coopqp.drivers.motion import SharedMotion
 from coopqp.drivers.options import LoopOptions
-from coopqp.drivers.process import prepare_process
+from coopqp.drivers.process import keeps_scheduler, prepare_process
 from coopqp.drivers.report import LoopReport, largest_apart
 from coopqp.drivers.robots import refusals, robots_of, turned
 from coopqp.drivers.start import begin, connect, stand, tell_targets, unready
@@ -186,9 +186,10 @@ class ControlLoop(LoopCalls):
             self._ending, self._failed = "", False
             self.refused_calls.clear()
             o = self.options
-            self._process = prepare_process(realtime=o.realtime, lock_memory=o.lock_memory, core=o.core)
-            self._start()
-            return self._run()
+            with keeps_scheduler():
+                self._process = prepare_process(realtime=o.realtime, lock_memory=o.lock_memory, core=o.core)
+                self._start()
+                return self._run()
         except BaseException:
             self.stop_drivers()
             raise

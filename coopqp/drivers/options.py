@@ -5,7 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Annotated
 
-from coopqp.checks import Doc, as_count, as_scalar, documented, keep_scalars
+from coopqp.checks import Doc, as_scalar, documented, keep_scalars
+from coopqp.drivers.process import as_priority
 from coopqp.errors import InvalidInputError
 
 #: Longest accepted period [s].
@@ -67,8 +68,7 @@ class LoopOptions:
     core: Annotated[int | None, Doc("the only core that the loop's thread asks for; None for any")] = None
 
     def __post_init__(self) -> None:
-        if self.realtime is not None and not 1 <= as_count(self.realtime, "LoopOptions: realtime") <= 99:
-            raise InvalidInputError(f"realtime is {self.realtime}", "LoopOptions", "Give a priority from 1 to 99.")
+        as_priority(self.realtime, "LoopOptions: realtime")
         if self.period is not None:
             keep_scalars(self, "period")
         if self.lead is not None:

@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+import contextlib
 import ctypes
 import gc
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+
+from coopqp.checks import as_count
+from coopqp.errors import InvalidInputError
 
 #: mlockall: what is in memory now, and what will be.
 _CURRENT, _FUTURE = 1, 2
@@ -37,9 +41,28 @@ def prepare_process(*, realtime: int | None, lock_memory: bool, core: int | None
     return found
 
 
-def leave_realtime() -> None:
-    """Go back to the ordinary scheduler."""
-    _tried(lambda: os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0)), "")
+@contextlib.contextmanager
+def keeps_scheduler() -> Iterator[None]:
+    """After the block this thread has the scheduler again that it had before."""
+    known = hasattr(os, "sched_getscheduler")
+    before = (os.sched_getscheduler(0), os.sched_getparam(0)) if known else None
+    try:
+        yield
+    finally:
+        if before is not None:
+            with contextlib.suppress(OSError):  # not allowed any more
+                os.sched_setscheduler(0, *before)
+
+
+def as_priority(value: int | None, where: str) -> int | None:
+    """Return a priority of the FIFO scheduler, 1 to 99, or None.
+
+    Raises:
+        InvalidInputError: it is none.
+    """
+    if value is not None and not 1 <= as_count(value, where) <= 99:
+        raise InvalidInputError(f"realtime is {value}", where, "Give a priority from 1 to 99.")
+    return value
 
 
 def _tried(call: Callable[[], object], done: str) -> str:

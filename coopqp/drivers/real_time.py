@@ -9,7 +9,7 @@ from typing import Any, final
 import numpy as np
 
 from coopqp.control.interface import ControlStep
-from coopqp.drivers.process import leave_realtime, prepare_process
+from coopqp.drivers.process import as_priority, keeps_scheduler, prepare_process
 from coopqp.drivers.timing import LoopTime, MonotonicTime
 from coopqp.errors import CoopqpError, InvalidInputError
 from coopqp.simulation.plants.kinematic import KinematicPlant, Plant
@@ -62,7 +62,7 @@ class RealTimeRun:
         self._calls: deque[Callable[[], None]] = deque()
         self._stopped = False
         self._late = np.zeros(_KEPT)
-        self._realtime, self.scheduler = realtime, "ordinary"
+        self._realtime, self.scheduler = as_priority(realtime, "RealTimeRun: realtime"), "ordinary"
         self.steps = self.missed = 0
         controller.pause()
         self._begin()
@@ -107,14 +107,10 @@ class RealTimeRun:
 
     def run(self, observe: Callable[[ControlStep], None] | None = None) -> None:
         """Step until :meth:`stop`, once at least; ``observe`` is called with each step."""
-        if self._realtime is None:
+        with keeps_scheduler():
+            if self._realtime is not None:
+                self.scheduler = prepare_process(realtime=self._realtime, lock_memory=False, core=None)["realtime"]
             self._steps(observe)
-            return
-        self.scheduler = prepare_process(realtime=self._realtime, lock_memory=False, core=None)["realtime"]
-        try:
-            self._steps(observe)
-        finally:
-            leave_realtime()
 
     def _steps(self, observe: Callable[[ControlStep], None] | None) -> None:
         time, h = self._time, self.controller.dt

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable
 from typing import Any
 
@@ -9,6 +10,7 @@ import numpy as np
 import pytest
 
 from coopqp import ControlStep, InvalidInputError, QPController, Status, simulate
+from coopqp.drivers import LoopOptions
 from coopqp.drivers.real_time import RealTimeRun
 from coopqp.drivers.timing import ManualTime
 from coopqp.scenarios import Scenario
@@ -117,3 +119,28 @@ def test_late_periods_are_counted_and_not_made_up_for(paper: Scenario) -> None:
     assert run.missed == 5
     assert run.lateness()[2] == pytest.approx(0.012)
     assert run.lateness(1)[1] == pytest.approx(0.012)
+
+
+@pytest.mark.skipif(not hasattr(os, "sched_getscheduler"), reason="this system has no such schedulers")
+def test_the_real_time_scheduler_is_asked_for_and_given_back(paper: Scenario) -> None:
+    before = os.sched_getscheduler(0), os.sched_getparam(0).sched_priority
+    run, seen = _run(paper, realtime=7), []
+    assert run.scheduler == "ordinary"
+
+    def look(_: ControlStep) -> None:
+        seen.append((os.sched_getscheduler(0), os.sched_getparam(0).sched_priority))
+        run.stop()
+
+    run.run(look)
+    granted = run.scheduler == "FIFO, priority 7"
+    assert granted or run.scheduler.startswith("not granted")
+    assert seen == [(os.SCHED_FIFO, 7) if granted else before]
+    assert (os.sched_getscheduler(0), os.sched_getparam(0).sched_priority) == before
+
+
+@pytest.mark.parametrize("bad", [0, 100, 1.5, "high"])
+def test_priorities_that_are_none_are_named(paper: Scenario, bad: Any) -> None:
+    with pytest.raises(InvalidInputError, match="RealTimeRun: realtime"):
+        _run(paper, realtime=bad)
+    with pytest.raises(InvalidInputError, match="LoopOptions: realtime"):
+        LoopOptions(realtime=bad)
