@@ -25,9 +25,13 @@ from coopqp.visualization.jog.page import JogPage
 from coopqp.visualization.jog.seen import Seen
 
 TRACK = "[class*=Slider-track]"
-#: Time between two looks at a picture [s]. Each look draws a frame; viser takes frames that follow each other within
-#: half a second for what the machine can do, and draws more coarsely where that is little.
+#: Where frames are slow viser draws more coarsely. Time between two looks at a picture, each of which draws one [s].
 _SELDOM = 0.7
+#: Whether it does so; then the page is opened anew, so often at most. The canvas of the labels has no pixels.
+_COARSE = (
+    "[...document.querySelectorAll('canvas')].some(c => c.width > 0 && c.width < c.clientWidth * devicePixelRatio - 1)"
+)
+_ATTEMPTS = 4
 
 
 def run_at_limit() -> Recording:
@@ -136,17 +140,25 @@ def shoot(
     program = _browser()
     with tempfile.TemporaryDirectory(ignore_cleanup_errors=True) as folder:  # the browser ends later
         file = write(Path(folder) / "page.html")
-        with Page(program, Path(folder) / "profile", width=width, height=height) as page:
-            page.open(file.as_uri())
-            page.wait_until(lambda: page.evaluate(f"!!document.querySelector('{TRACK}')"))
-            page.wait_until(lambda: page.evaluate("!!document.querySelector('canvas')"))
-            page.wait_until(lambda: _drawn(page.screenshot()), timeout=90, every=_SELDOM)
-            _without_notes(page)
-            if share is not None:
-                page.pause()
-                track = page.box(TRACK)
-                page.press(track["left"] + share * track["width"], track["top"] + 0.5 * track["height"])
-            Image.fromarray(page.settled(every=_SELDOM).astype("uint8")).quantize(200).save(picture, optimize=True)
+        for attempt in range(_ATTEMPTS):
+            with Page(program, Path(folder) / f"profile {attempt}", width=width, height=height) as page:
+                drawn = _shot(page, file, share)
+                if not page.evaluate(_COARSE):
+                    break
+        Image.fromarray(drawn.astype("uint8")).quantize(200).save(picture, optimize=True)
+
+
+def _shot(page: Page, file: Path, share: float | None) -> Picture:
+    page.open(file.as_uri())
+    page.wait_until(lambda: page.evaluate(f"!!document.querySelector('{TRACK}')"))
+    page.wait_until(lambda: page.evaluate("!!document.querySelector('canvas')"))
+    page.wait_until(lambda: _drawn(page.screenshot()), timeout=90, every=_SELDOM)
+    _without_notes(page)
+    if share is not None:
+        page.pause()
+        track = page.box(TRACK)
+        page.press(track["left"] + share * track["width"], track["top"] + 0.5 * track["height"])
+    return page.settled(every=_SELDOM)
 
 
 #: Pictures by the name of the command.
