@@ -358,7 +358,7 @@ def promises(quick: bool) -> Iterator[Promise]:
     yield from _stops(2 if quick else 12)
     yield from _retrace()
     yield from _by_hand(3 if quick else 200)
-    yield from _beside(2 if quick else 12)
+    yield from _beside(2 if quick else 200)
     yield from _cost()
     yield from _step_costs(3 if quick else 12)
     yield from _replays(4 if quick else 50)

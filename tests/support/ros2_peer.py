@@ -2,8 +2,8 @@
 
 Run as ``python ros2_peer.py SETTINGS`` with JSON: ``arms`` (name → joint names and positions), ``domain``, ``lag``;
 optional: ``period`` between two states [s] (0.004), ``wrenches`` (true). All joints stand in one JointState, last ones
-first; each arm takes ``/NAME/joint_trajectory`` and ``/NAME/commands``, and
-tells ``/NAME/wrench``. It prints ``ready``, and for a line ``count`` how many commands each arm got.
+first; each arm takes ``/NAME/joint_trajectory`` and ``/NAME/commands``, and tells ``/NAME/wrench``. It prints
+``ready``, and for a line ``count`` how many commands each arm got.
 """
 
 import gc
