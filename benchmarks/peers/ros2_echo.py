@@ -7,17 +7,22 @@ many commands each arm got.
 
 from __future__ import annotations
 
+import gc
 import json
 import sys
 import threading
 import time
-from collections.abc import Callable
 from typing import Any
 
 import rclpy
 from rclpy.node import Node
 from sensor_msgs.msg import JointState
 from trajectory_msgs.msg import JointTrajectory
+
+#: Messages that are kept while the node is not run.
+_QUEUE = 100
+#: Time between looks for commands [s].
+_LOOKS = 2e-4
 
 
 def main(settings: dict[str, Any]) -> None:
@@ -33,18 +38,27 @@ def main(settings: dict[str, Any]) -> None:
         message.velocity = [0.0] * len(q)
         publishers[name].publish(message)
 
-    def echo(name: str) -> Callable[[Any], None]:
-        def call(message: Any) -> None:
-            if message.points:
-                counts[name] += 1
-                tell(name, list(message.points[-1].positions))
+    def nothing(_: Any) -> None: ...
 
-        return call
-
+    subscriptions: dict[str, Any] = {}
     for name in settings["arms"]:
-        publishers[name] = node.create_publisher(JointState, f"/{name}/states", 10)
-        node.create_subscription(JointTrajectory, f"/{name}/joint_trajectory", echo(name), 10)
-    threading.Thread(target=rclpy.spin, args=(node,), daemon=True).start()
+        publishers[name] = node.create_publisher(JointState, f"/{name}/states", _QUEUE)
+        topic = f"/{name}/joint_trajectory"
+        subscriptions[name] = node.create_subscription(JointTrajectory, topic, nothing, _QUEUE)
+
+    def echo() -> None:
+        """Send back what has come. An executor would build a set to wait for at each message."""
+        while True:
+            for name, subscription in subscriptions.items():
+                while taken := subscription.handle.take_message(JointTrajectory, False):
+                    if taken[0].points:
+                        counts[name] += 1
+                        tell(name, list(taken[0].points[-1].positions))
+            time.sleep(_LOOKS)
+
+    gc.collect()  # a pause to collect what rclpy has made would be counted as its transport's
+    gc.freeze()
+    threading.Thread(target=echo, daemon=True).start()
 
     def orders() -> None:
         for line in sys.stdin:

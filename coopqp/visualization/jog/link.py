@@ -90,7 +90,10 @@ class PageLink:
                 raise CoopqpError("the page did not open within 60 s.")
             answer: str | CoopqpError = self._link.recv()
         except EOFError as error:
-            raise CoopqpError("the page's process ended before the page was there.") from error
+            raise CoopqpError(
+                "the page's process ended before the page was there. It imports the script that started it: what opens "
+                'the page has to stand under `if __name__ == "__main__":`.'
+            ) from error
         if isinstance(answer, CoopqpError):
             raise answer
         return answer
