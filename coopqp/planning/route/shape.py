@@ -27,8 +27,8 @@ WIDEST, _LEAST = 0.3, 1e-3
 _STRAIGHT = 1e-6
 #: Size of changes that are tried [m]: the smallest, the first and the largest; it grows and shrinks by these factors.
 _SIZES, _UP, _DOWN = (0.01, 0.06, 0.15), 1.5, 0.9
-#: Share of the changes that leave a corner out.
-_LEFT_OUT = 0.1
+#: Share of the changes that leave a corner out, and of those that move the corners beside one, too, by a share of it.
+_LEFT_OUT, _TOGETHER, _BESIDE = 0.1, 0.5, 0.5
 #: A corner is left out where that costs less than this share of the duration.
 _WORTH_A_CORNER = 0.01
 
@@ -138,19 +138,25 @@ class Shaper:
                 fewer = self._free(shape.start, others, np.delete(shape.deviations, k - 1))
                 if isinstance(fewer, Shape) and fewer.duration < (1.0 + _WORTH_A_CORNER) * shape.duration:
                     shape = fewer
-        size, again = _SIZES[1], None
+        size = _SIZES[1]
+        again: _Change | None = None
         for _ in range(math.ceil(self.edges.effort * changes)):
             if len(shape.poses) < first + 2 or time.perf_counter() >= until:
                 break
             poses, deviations = list(shape.poses), shape.deviations.copy()
-            k, move, turn = again or (int(rng.integers(first, len(poses) - 1)), *_random_change(rng, size))
+            corners = range(first, len(poses) - 1)
+            change = again or _random_change(rng, corners, size)
+            k = change.corner
             if again is None and rng.random() < _LEFT_OUT:
                 del poses[k]
                 deviations = np.delete(deviations, k - 1)
             else:
-                poses[k] = Pose(poses[k].p + move, poses[k].R @ np.asarray(pin.exp3(turn)))
+                for i, share in ((k - 1, change.beside), (k, 1.0), (k + 1, change.beside)):
+                    if i in corners and share > 0.0:
+                        turned = poses[i].R @ np.asarray(pin.exp3(share * change.turn))
+                        poses[i] = Pose(poses[i].p + share * change.move, turned)
                 deviations[k - 1] = min(max(2.0 * deviations[k - 1], _LEAST), WIDEST)
-                again = k, move, turn
+                again = change
             changed = self._free(shape.start, poses, deviations)
             if isinstance(changed, Shape) and changed.duration < shape.duration:
                 shape, size = changed, min(_UP * size, _SIZES[2])
@@ -170,6 +176,17 @@ class Shaper:
         return Shape(tuple(poses), deviations.copy(), geometry, start, s, rows, found.positions, duration)
 
 
-def _random_change(rng: np.random.Generator, size: float) -> tuple[Array, Array]:
-    """A displacement [m] and a turn [rad] of about this size."""
-    return size * rng.normal(size=3), size / TURN_LENGTH * rng.normal(size=3)
+class _Change(NamedTuple):
+    """A corner that is moved: its displacement (3,) [m] and turn (3,) [rad], of which those beside it make a share."""
+
+    corner: int
+    move: Array
+    turn: Array
+    beside: float
+
+
+def _random_change(rng: np.random.Generator, corners: Sequence[int], size: float) -> _Change:
+    """A change of about this size [m]."""
+    corner = corners[int(rng.integers(len(corners)))]
+    beside = _BESIDE if rng.random() < _TOGETHER else 0.0
+    return _Change(corner, size * rng.normal(size=3), size / TURN_LENGTH * rng.normal(size=3), beside)
