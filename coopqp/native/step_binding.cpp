@@ -73,6 +73,10 @@ static long ask_constraints(Core *c, Question question);
 
 /* -- memory ---------------------------------------------------------------------------------------------------------- */
 
+/* The memory begins at a multiple of so many numbers: where vector instructions may begin decides which products they
+ * fuse, and so the last bits of a step. */
+#define ALIGNED 8
+
 /* Lay out the fields in one piece of memory that is zero, with a gap after each. */
 static void lay_out(BoundCore *self) {
     const size_t n = self->arms, nv = self->joints, nq = self->nq, unknowns = self->unknowns, past = self->past;
@@ -85,9 +89,11 @@ static void lay_out(BoundCore *self) {
     STATE_FIELDS(ADD)
     self->state_block = {"state", state, end - state};
     WORK_FIELDS(ADD)
-    self->memory = static_cast<double *>(calloc(end, sizeof(double)));
-    if (!self->memory) throw std::bad_alloc();
-    self->owner = nb::capsule(self->memory, [](void *memory) noexcept { free(memory); });
+    void *all = calloc(end + ALIGNED, sizeof(double));
+    if (!all) throw std::bad_alloc();
+    self->owner = nb::capsule(all, [](void *memory) noexcept { free(memory); });
+    const size_t over = reinterpret_cast<uintptr_t>(all) / sizeof(double) % ALIGNED;
+    self->memory = static_cast<double *>(all) + (ALIGNED - over) % ALIGNED;
     size_t i = 0;
 #define PLACE(type, name, count) place(self->name, self->memory + self->fields[i].begin, self->fields[i].size), i++;
     CONFIG_FIELDS(PLACE) STATE_FIELDS(PLACE) WORK_FIELDS(PLACE)

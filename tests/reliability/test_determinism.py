@@ -1,4 +1,4 @@
-"""The same task gives the same commands: in another process, and with the arms in another order."""
+"""The same task gives the same commands: elsewhere in memory, in another process, with the arms in another order."""
 
 from __future__ import annotations
 
@@ -8,11 +8,13 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pinocchio as pin
 import pytest
 from cells import reordered, with_mismatch
 from processes import output
 
-from coopqp import CommonError, QPController, QPOptions
+from coopqp import Clearance, CollisionScene, CommonError, QPController, QPOptions
+from coopqp.collision import Body, Box
 from coopqp.scenarios import Scenario, at_limit, dual_arm7, fast_lift, mixed_cell, ring, scara_pair
 
 PROGRAM = Path(__file__).with_name("programs") / "repeat.py"
@@ -96,3 +98,30 @@ def test_the_order_of_the_arms_does_not_matter(
         unit="rad/s",
         note=f"six cells of two to five arms in closed loop, each by its leader and leaderless; largest in {where}",
     )
+
+
+def beside_a_cart(steps: int) -> bytes:
+    """Commands of two seven-joint arms that a cart pushes away: rows bind, and redundant joints have a choice."""
+    task, dt, v = ring(arms=2, robot="arm7"), 0.004, np.array([0.28, -0.095, 0.039])
+    cell = task.cell.with_limits(acceleration=15.0)
+    first = task.path.pose(0.0).translation + np.array([-0.844, 0.319, -0.026])
+    cart = Body("cart", Box((0.263, 0.263, 0.263)), pin.SE3(np.eye(3), first))
+    scene = CollisionScene.of(task, cell=cell, margin=0.02, moving=[cart])
+    clearance = Clearance(scene, give_way=True)
+    controller = QPController(cell, task.grasp, task.path, dt=dt, constraints=[clearance])
+    controller.reset(task.q_start)
+    commands = []
+    for i in range(steps):
+        clearance.move("cart", pin.SE3(np.eye(3), first + i * dt * v), (*v, 0.0, 0.0, 0.0))
+        commands.append(controller.step().q_next)
+    return np.array(commands).tobytes()
+
+
+@pytest.mark.core
+def test_bits_do_not_depend_on_where_memory_lies() -> None:
+    rng = np.random.default_rng(0)
+    first = beside_a_cart(400)
+    for _ in range(8):
+        others = [np.empty(n) for n in rng.integers(1, 400, 200)]  # the next run's memory lies elsewhere
+        assert beside_a_cart(400) == first
+        del others
