@@ -130,8 +130,9 @@ class Trial:
                 self._reach.measure(
                     self._copy, [f for f in self._files if f.startswith(tuple(folders))], mark, self._map_file
                 )
+            tests = self._tests(mutant, folders)
             with self._copy.changed(mutant.module, mutant.write(self._copy.folder)) as compiled:
-                mutant.killer = self._killer(mutant, folders) if compiled else "the compiler"
+                mutant.killer = self._killer(mutant, tests) if compiled else "the compiler"
             if mutant.killer:
                 break
         mutant.outcome = "killed" if mutant.killer else "equivalent" if mutant.why_equivalent else "survived"
@@ -141,16 +142,21 @@ class Trial:
         """The test of the compiled code that fails without any mutation, or ""."""
         return self._copy.killer(self._core, "-m", CORE, limit=3600)
 
-    def _killer(self, mutant: Mutant, folders: list[str]) -> str:
+    def _tests(self, mutant: Mutant, folders: list[str]) -> list[str]:
+        """Tests of some folders for the line that the mutant changes, which is in place as yet; none for C."""
+        if mutant.group == "C":
+            return []
+        source = (self._copy.folder / mutant.module).read_text(encoding="utf-8")
+        line = source.splitlines()[mutant.line - 1] if mutant.line in in_functions(source) else ""
+        return self._reach.tests(mutant.module, line, self._seconds, folders)
+
+    def _killer(self, mutant: Mutant, tests: list[str]) -> str:
         if mutant.group == "C":
             first = [name for name, _ in self._kills.most_common(12)]
             killer = self._copy.killer(first, limit=120) or self._copy.killer(self._core, "-m", CORE, limit=300)
             if "::" in killer:
                 self._kills[killer.partition("[")[0]] += 1
             return killer
-        source = (self._copy.folder / mutant.module).read_text(encoding="utf-8")
-        line = source.splitlines()[mutant.line - 1] if mutant.line in in_functions(source) else ""
-        tests = self._reach.tests(mutant.module, line, self._seconds, folders)
         marks = ("-m", "not slow") if len(self._marks) == 1 else ()
         return self._copy.killer(tests, *marks, limit=int(60 + 6 * self._seconds))
 
