@@ -11,7 +11,7 @@ import pinocchio as pin
 from coopqp.collision.built_scene import BuiltScene
 from coopqp.collision.distances import new_request
 from coopqp.model.grasp import Grasp
-from coopqp.native.constants import FARTHEST_POINT, TURN_LENGTH
+from coopqp.native.constants import DEEPEST, FARTHEST_POINT, TURN_LENGTH
 from coopqp.spatial import Array, cross
 
 #: Pushes of one pose, and the longest of them [m], where 1 rad counts as 0.3 m.
@@ -75,7 +75,7 @@ class ObjectGaps:
                 a, coal.Transform3s(T_a.rotation, T_a.translation), b, coal.Transform3s(T_b.rotation, T_b.translation),
                 self._request, self._result,
             )  # fmt: skip
-            lacks = required[k] - d
+            lacks = required[k] - max(d, DEEPEST)
             if lacks <= 0.0:
                 continue
             n, p = np.array(self._result.normal), np.array(self._result.getNearestPoint2())

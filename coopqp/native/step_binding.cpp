@@ -73,8 +73,8 @@ static long ask_constraints(Core *c, Question question);
 
 /* -- memory ---------------------------------------------------------------------------------------------------------- */
 
-/* The memory begins at a multiple of so many numbers: where vector instructions may begin decides which products they
- * fuse, and so the last bits of a step. */
+/* The memory begins at a multiple of so many numbers in every run: elsewhere vector instructions begin elsewhere, and the
+ * last bits of a step are others. */
 #define ALIGNED 8
 
 /* Lay out the fields in one piece of memory that is zero, with a gap after each. */

@@ -5,6 +5,7 @@ from __future__ import annotations
 from itertools import combinations_with_replacement, pairwise
 from typing import Any
 
+import coal
 import numpy as np
 import pinocchio as pin
 import pytest
@@ -275,6 +276,15 @@ def test_a_pose_is_pushed_off_bodies_across_the_line_and_not_along_it() -> None:
     q = inverse_kinematics(cell, problem.grasp, pushed, problem.q_start, limits=False)
     away = Distances(scene.built).all(q) - required
     assert away[np.isfinite(levers)].min() >= 0.0
+
+
+@pytest.mark.filterwarnings("error")
+def test_a_depth_that_coal_does_not_find_pushes_nowhere(monkeypatch: pytest.MonkeyPatch) -> None:
+    problem = route_cases.pillar()
+    required, _ = problem.scene.required_at(problem.q_start[None])
+    found = coal.distance
+    monkeypatch.setattr("coal.distance", lambda *given: found(*given) - np.finfo(float).max)
+    assert problem.scene.pushed(problem.start, np.array([0.0, 1.0, 0.0]), required) is None
 
 
 @pytest.mark.parametrize(("way", "fastest", "acceleration"), [(0.5, 2.0, 3.0), (4.0, 1.0, 2.0)])
