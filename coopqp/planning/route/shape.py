@@ -44,6 +44,7 @@ class Shape(NamedTuple):
         s: of samples along it (K,) [m].
         rows: the object's pose there, rows of R (9), p (3): (K, 12).
         positions: joint positions there (K, nv) [rad or m].
+        rooms: lower bounds of distance less what is required (K, P) [m].
         duration: about how long the motion takes [s].
     """
 
@@ -54,6 +55,7 @@ class Shape(NamedTuple):
     s: Array
     rows: Array
     positions: Array
+    rooms: Array
     duration: float
 
 
@@ -135,7 +137,7 @@ class Shaper:
         for k in range(len(shape.poses) - 2, first - 1, -1):
             if time.perf_counter() < until:
                 others = shape.poses[:k] + shape.poses[k + 1 :]
-                fewer = self._free(shape.start, others, np.delete(shape.deviations, k - 1))
+                fewer = self._free(shape.start, others, np.delete(shape.deviations, k - 1), known=shape)
                 if isinstance(fewer, Shape) and fewer.duration < (1.0 + _WORTH_A_CORNER) * shape.duration:
                     shape = fewer
         size = _SIZES[1]
@@ -157,23 +159,37 @@ class Shaper:
                         poses[i] = Pose(poses[i].p + share * change.move, turned)
                 deviations[k - 1] = min(max(2.0 * deviations[k - 1], _LEAST), WIDEST)
                 again = change
-            changed = self._free(shape.start, poses, deviations)
+            changed = self._free(shape.start, poses, deviations, known=shape)
             if isinstance(changed, Shape) and changed.duration < shape.duration:
                 shape, size = changed, min(_UP * size, _SIZES[2])
             else:
                 size, again = max(_DOWN * size, _SIZES[0]), None
         return shape
 
-    def _free(self, start: Node, poses: Sequence[Pose], deviations: Array) -> Shape | Pose:
-        """The shape; where it is not free, the pose that it is free to."""
+    def _free(
+        self, start: Node, poses: Sequence[Pose], deviations: Array, *, known: Shape | None = None
+    ) -> Shape | Pose:
+        """The shape; where it is not free, the pose that it is free to. It is free as far as it is a known one's."""
         geometry = blended(lines_between(poses), distance=deviations, angle=deviations / TURN_LENGTH)
         s, rows, motion = samples_of(geometry)
-        found = self.edges.walk(rows, motion, start.x, start.rooms)
-        last = len(found.positions) - 1
+        i = 0 if known is None else _last_alike(known.rows, rows)
+        x, room = (start.x, start.rooms) if known is None else (known.positions[i], known.rooms[i])
+        found = self.edges.walk(rows[i:], motion[i:], x, room)
+        last = i + len(found.positions) - 1
         if last < len(rows) - 1:
             return Pose.of_row(rows[last])
-        duration = estimated_duration(self.limits, s, found.positions, speed=self.speed)
-        return Shape(tuple(poses), deviations.copy(), geometry, start, s, rows, found.positions, duration)
+        positions, rooms = found.positions, found.rooms
+        if known is not None:
+            positions, rooms = np.vstack([known.positions[:i], positions]), np.vstack([known.rooms[:i], rooms])
+        duration = estimated_duration(self.limits, s, positions, speed=self.speed)
+        return Shape(tuple(poses), deviations.copy(), geometry, start, s, rows, positions, rooms, duration)
+
+
+def _last_alike(a: Array, b: Array) -> int:
+    """The last of the poses (K, 12) from the first one on that two ways share."""
+    size = min(len(a), len(b))
+    differ = np.flatnonzero((a[:size] != b[:size]).any(axis=1))
+    return max(int(differ[0]) - 1, 0) if len(differ) else size - 1
 
 
 class _Change(NamedTuple):
