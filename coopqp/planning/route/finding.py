@@ -43,7 +43,7 @@ _BELOW, _ABOVE = 0.3, 0.4
 #: most, with so many nodes besides twice those of the first.
 _BETTERING, _SEARCHING, _OTHERS, _OTHER_NODES = 0.7, 0.15, 6, 100
 #: Of the shapes, so many are made faster by a few changes, and then the fastest by many.
-_PROMISING, _FEW_CHANGES, _MANY_CHANGES = 2, 50, 400
+_PROMISING, _FEW_CHANGES, _MANY_CHANGES = 2, 50, 1000
 #: Poses of a goal, of those from which the arms hold the object, that the search leads to.
 _MOST_GOALS = 3
 #: Ways that are searched until one is proved.
