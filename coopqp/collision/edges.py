@@ -8,15 +8,21 @@ from typing import Any, final
 import numpy as np
 
 from coopqp.collision.built_scene import BuiltScene
+from coopqp.collision.coal_geometry import core_shape
 from coopqp.collision.distances import KERNEL
 from coopqp.collision.edges_plain import BENT, FAR, PlainEdges
+from coopqp.collision.gaps import object_pairs
 from coopqp.model.batch import ArmKinematics
 from coopqp.model.grasp import Grasp
-from coopqp.planning.route.edges import EdgeLimits, Edges, Stop, Walked, columns_of
+from coopqp.planning.route.edges import EdgeLimits, Edges, Samples, Stop, Walked, columns_of
+from coopqp.planning.route.sampling import LEAST_SAMPLES
+from coopqp.planning.route.tree import STEP
 from coopqp.spatial import Array
 
 #: Kinds of stops in the order of ``edges.h``.
 _KINDS = ("", "reach", "limit", "singular", "pair")
+#: Samples of a geometry that there is room for at first.
+_FEW_SAMPLES = 200
 
 
 def edges_of(
@@ -60,6 +66,10 @@ class _CompiledEdges:
             "reach": np.ascontiguousarray(built.reach.T),
             "levers": np.minimum(built.levers, FAR),
             "required": limits.required, "spare": limits.spare, "lower": limits.lower, "upper": limits.upper,
+            "held": np.array([
+                [pair.number, *T.rotation.ravel(), *T.act(core_shape(pair.held).centre)]
+                for pair in object_pairs(built, grasp) for T in [pair.T_object_held]
+            ], dtype=float),
             "settings": np.array([limits.sigma_min, BENT]),
         }  # fmt: skip
         of_arms = [
@@ -70,6 +80,7 @@ class _CompiledEdges:
             }
             for arm, columns, X in zip(arms, columns_of(built.cell, arms), grasp.T_object_tool, strict=True)
         ]
+        self._samples = _room_for(_FEW_SAMPLES)
         self._kernel, self._pairs = kernel, len(built.labels)
         self._native = kernel.Edges(numbers, of_arms, shapes)
 
@@ -80,14 +91,40 @@ class _CompiledEdges:
         reached = self._native.walk(poses, motion, positions, kept, stop) + 1
         return Walked(positions[:reached], kept[:reached], Stop(_KINDS[int(stop[0])], int(stop[1])))
 
+    def object_along(self, poses: Array, motion: Array, rooms: Array) -> int:
+        """See :class:`coopqp.planning.route.edges.Edges`."""
+        return int(self._native.object_along(poses, motion, rooms)) + 1
+
+    def arms_along(self, poses: Array, x: Array) -> Array:
+        """See :class:`coopqp.planning.route.edges.Edges`."""
+        positions = np.empty((len(poses), len(x)))
+        positions[0] = x
+        return positions[: self._native.arms_along(poses, positions) + 1]
+
     def line(self, start: Array, goal: Array, steps: int) -> Array:
         """See :class:`coopqp.planning.route.edges.Edges`."""
         poses = np.empty((steps + 1, 12))
         self._kernel.line(start, goal, poses)
         return poses
 
+    def samples(self, poses: Array, deviations: Array) -> Samples:
+        """See :class:`coopqp.planning.route.edges.Edges`."""
+        settings = np.array([STEP, LEAST_SAMPLES])
+        while True:
+            size = len(self._samples[0])
+            found = self._kernel.rounded(poses, deviations, settings, *self._samples)
+            if found <= size:
+                s, rows, motion = self._samples
+                return Samples(s[:found].copy(), rows[:found].copy(), motion[: found - 1].copy())
+            self._samples = _room_for(2 * found)
+
     def rooms(self, x: Array) -> Array:
         """See :class:`coopqp.planning.route.edges.Edges`."""
         out = np.empty(self._pairs)
         self._native.measure(np.ascontiguousarray(x), out)
         return out
+
+
+def _room_for(samples: int) -> Samples:
+    """Memory of samples that are not known yet."""
+    return Samples(np.empty(samples), np.empty((samples, 12)), np.empty((samples - 1, 2)))

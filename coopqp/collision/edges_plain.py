@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Sequence
 from typing import final
 
@@ -10,9 +11,12 @@ import pinocchio as pin
 
 from coopqp.collision.built_scene import BuiltScene
 from coopqp.collision.distances import Distances, Indices
+from coopqp.collision.gaps import ObjectGaps
 from coopqp.model.batch import ArmKinematics
 from coopqp.model.grasp import Grasp
-from coopqp.planning.route.edges import EdgeLimits, Stop, Walked, columns_of
+from coopqp.planning.route.edges import EdgeLimits, Samples, Stop, Walked, columns_of
+from coopqp.planning.route.sampling import rounded, samples_of
+from coopqp.planning.route.tree import Pose
 from coopqp.spatial import Array, rotations
 
 #: Joints are taken to move this many times the straight way between two poses.
@@ -47,6 +51,7 @@ class PlainEdges:
         self._built, self._arms, self._limits = built, tuple(arms), limits
         self._columns = columns_of(built.cell, arms)
         self._offsets = [np.array(X.homogeneous) for X in grasp.T_object_tool]
+        self._gaps = ObjectGaps(built, grasp)
         self._distances, self._levers = Distances(built), np.minimum(built.levers, FAR)
 
     def walk(self, poses: Array, motion: Array, x: Array, rooms: Array) -> Walked:
@@ -64,6 +69,29 @@ class PlainEdges:
             kept.append(ahead)
         return Walked(np.array(positions), np.array(kept), _FREE)
 
+    def object_along(self, poses: Array, motion: Array, rooms: Array) -> int:
+        """See :class:`coopqp.planning.route.edges.Edges`."""
+        limits, pairs = self._limits, np.array([pair.number for pair in self._gaps.pairs], dtype=int)
+        room = rooms[pairs]
+        for i in range(len(motion)):
+            room = room - motion[i, 0] - motion[i, 1] * self._levers[pairs]
+            if not (room >= limits.spare[pairs]).all():
+                T = Pose.of_row(poses[i + 1]).placement()
+                room = np.array([self._gaps.distance(pair, T) for pair in self._gaps.pairs]) - limits.required[pairs]
+            if not (room >= limits.spare[pairs]).all():
+                return i + 1
+        return len(poses)
+
+    def arms_along(self, poses: Array, x: Array) -> Array:
+        """See :class:`coopqp.planning.route.edges.Edges`."""
+        positions, T = [x], _matrices(poses)
+        for before, behind in itertools.pairwise(T):
+            after, _ = self._step(before, behind, positions[-1])
+            if after is None:
+                break
+            positions.append(after)
+        return np.array(positions)
+
     def line(self, start: Array, goal: Array, steps: int) -> Array:
         """See :class:`coopqp.planning.route.edges.Edges`."""
         share = np.linspace(0.0, 1.0, steps + 1)[:, None]
@@ -74,6 +102,10 @@ class PlainEdges:
         poses[:, 9:] = start[9:] + share * (goal[9:] - start[9:])
         poses[-1] = goal
         return poses
+
+    def samples(self, poses: Array, deviations: Array) -> Samples:
+        """See :class:`coopqp.planning.route.edges.Edges`."""
+        return samples_of(rounded([Pose.of_row(row) for row in poses], deviations))
 
     def rooms(self, x: Array) -> Array:
         """See :class:`coopqp.planning.route.edges.Edges`."""

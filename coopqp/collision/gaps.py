@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import final
+from typing import Any, NamedTuple, final
 
 import coal
 import numpy as np
@@ -20,6 +20,37 @@ _PUSHES, _LONGEST = 12, 0.1
 _BEYOND = 1e-3
 
 
+class ObjectPair(NamedTuple):
+    """A pair of the object, or what it carries, with a body that stands.
+
+    Attributes:
+        number: of the pair in the scene.
+        held, other: their geometries.
+        T_object_held, T_world_other: where they are.
+        sign: −1 where the held one is the first of the pair, else 1.
+    """
+
+    number: int
+    held: Any
+    T_object_held: pin.SE3
+    other: Any
+    T_world_other: pin.SE3
+    sign: float
+
+
+def object_pairs(built: BuiltScene, grasp: Grasp) -> list[ObjectPair]:
+    """The pairs of a scene whose distance is a function of the object's pose, whatever the arms do."""
+    cell, shapes, pairs = built.cell, built.geometry.geometryObjects, built.geometry.collisionPairs
+    found = []
+    for k in np.flatnonzero(np.isfinite(built.levers) & ~built.moves):
+        first, second = shapes[pairs[int(k)].first], shapes[pairs[int(k)].second]
+        held, other, sign = (first, second, -1.0) if first.parentJoint else (second, first, 1.0)
+        arm = next(i for i, joint in enumerate(cell.tool_joints) if joint == held.parentJoint)
+        T_object_held = grasp.T_object_tool[arm] * cell.T_joint_tool[arm].inverse() * held.placement
+        found.append(ObjectPair(int(k), held.geometry, T_object_held, other.geometry, other.placement, sign))
+    return found
+
+
 @final
 class ObjectGaps:
     """Distances of the object from the bodies that stand, by coal, as functions of its pose.
@@ -27,18 +58,25 @@ class ObjectGaps:
     Args:
         built: the scene.
         grasp: how the arms hold the object.
+
+    Attributes:
+        pairs: that have such a distance.
     """
 
     def __init__(self, built: BuiltScene, grasp: Grasp) -> None:
-        cell, shapes, pairs = built.cell, built.geometry.geometryObjects, built.geometry.collisionPairs
+        self.pairs = object_pairs(built, grasp)
         self._request, self._result = new_request(), coal.DistanceResult()
-        self._pairs = []
-        for k in np.flatnonzero(np.isfinite(built.levers) & ~built.moves):
-            first, second = shapes[pairs[int(k)].first], shapes[pairs[int(k)].second]
-            held, other, sign = (first, second, -1.0) if first.parentJoint else (second, first, 1.0)
-            arm = next(i for i, joint in enumerate(cell.tool_joints) if joint == held.parentJoint)
-            T_object_shape = grasp.T_object_tool[arm] * cell.T_joint_tool[arm].inverse() * held.placement
-            self._pairs.append((int(k), held.geometry, T_object_shape, other.geometry, other.placement, sign))
+
+    def distance(self, pair: ObjectPair, T_world_object: pin.SE3) -> float:
+        """Distance of a pair [m]."""
+        T_held, T_other = (
+            coal.Transform3s(T.rotation, T.translation)
+            for T in (T_world_object * pair.T_object_held, pair.T_world_other)
+        )
+        shapes = (pair.held, T_held, pair.other, T_other)
+        self._result.clear()  # it keeps the least of its distances
+        d = coal.distance(*(shapes if pair.sign < 0.0 else shapes[2:] + shapes[:2]), self._request, self._result)
+        return max(d, DEEPEST)
 
     def pushed(self, T_world_object: pin.SE3, along: Array, required: Array) -> pin.SE3 | None:
         """The pose pushed across a line until all pairs keep their distance; None if it does not get there.
@@ -66,22 +104,14 @@ class ObjectGaps:
     def _missing(self, T: pin.SE3, along: Array, required: Array) -> tuple[list[Array], list[float]]:
         """Of pairs that are too close what they lack [m], and its gradient by the object's motion (6,)."""
         rows, missing = [], []
-        for k, held, T_object_shape, other, T_other, sign in self._pairs:
-            place = T * T_object_shape
-            shapes = (held, place, other, T_other) if sign < 0.0 else (other, T_other, held, place)
-            a, T_a, b, T_b = shapes
-            self._result.clear()  # it keeps the least of its distances
-            d = coal.distance(
-                a, coal.Transform3s(T_a.rotation, T_a.translation), b, coal.Transform3s(T_b.rotation, T_b.translation),
-                self._request, self._result,
-            )  # fmt: skip
-            lacks = required[k] - max(d, DEEPEST)
+        for pair in self.pairs:
+            lacks = required[pair.number] - self.distance(pair, T)
             if lacks <= 0.0:
                 continue
             n, p = np.array(self._result.normal), np.array(self._result.getNearestPoint2())
             if not (np.abs(n) < FARTHEST_POINT).all() or not (np.abs(p) < FARTHEST_POINT).all():
                 n = p = np.zeros(3)
             across = n - along * float(along @ n)
-            rows.append(sign * np.concatenate([across, cross(p - T.translation, n)]))
+            rows.append(pair.sign * np.concatenate([across, cross(p - T.translation, n)]))
             missing.append(lacks + _BEYOND)
         return rows, missing

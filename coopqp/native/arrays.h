@@ -70,6 +70,7 @@ void bind_step(nb::module_ &m);
 void bind_kinematics(nb::module_ &m);
 void bind_distances(nb::module_ &m);
 void bind_edges(nb::module_ &m);
+void bind_rounded(nb::module_ &m);
 void bind_clock(nb::module_ &m);
 
 #endif

@@ -9,5 +9,6 @@ NB_MODULE(_core, m) {
     bind_kinematics(m);
     bind_distances(m);
     bind_edges(m);
+    bind_rounded(m);
     bind_clock(m);
 }

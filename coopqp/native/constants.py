@@ -74,6 +74,11 @@ HELPS = 1e-6  # a self-motion that changes no distance by more does not help [m 
 SMALL_CLEARANCE = 1e-6  # a start this far inside a margin is outside it but for rounding [m]
 FARTHEST_POINT = 1e9  # nearest points beyond this are none: that search has failed [m]
 
+# -- rounded corners ---------------------------------------------------------------------------------------------------
+RAMP_AT_MIDDLE = 3.0 / 16.0  # largest value of a blend's ramp before its middle, as a share of its half length
+NO_CORNER = 1e-9  # twists per unit of s that differ by no more make no corner [1, rad/m]
+SHORTEST_LINE = 1e-12  # a shorter line between two blends is left out [m]
+
 # -- preview -----------------------------------------------------------------------------------------------------------
 STEPS_TO_FULL_SPEED = 22  # steps in which a joint without acceleration limit is planned to reach full speed
 PASSABLE = 0.3  # a singularity is passed where the rate's cap stays above this share of singular_rate

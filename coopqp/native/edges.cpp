@@ -20,7 +20,7 @@
 template <typename T>
 static T taken(const nb::dict &arrays, const char *name, Py_ssize_t size) {
     T out;
-    check_fit(out.take(nb::handle(arrays[name]).ptr()) && out.size == size, name);
+    check_fit(out.take(nb::handle(arrays[name]).ptr()) && (size < 0 || out.size == size), name);
     return out;
 }
 
@@ -46,6 +46,12 @@ Edges::Edges(const nb::dict &arrays, const nb::list &given, Shapes &&shapes_give
             arm.joint.push_back((Py_ssize_t)columns.data[i]);
         }
         arms.push_back(std::move(arm));
+    }
+    const In shapes_held = taken<In>(arrays, "held", -1);
+    check_fit(shapes_held.size % 13 == 0);
+    for (const double *one = shapes_held.data; one < shapes_held.data + shapes_held.size; one += 13) {
+        check_fit(one[0] >= 0.0 && one[0] < (double)pairs);
+        held.push_back({(Py_ssize_t)one[0], *reinterpret_cast<const Pose *>(one + 1), 0.0});
     }
     drop.resize((size_t)pairs), estimate.resize((size_t)pairs);
 }
@@ -194,6 +200,40 @@ Py_ssize_t Edges::walk(const In &poses, const In &motion, Out &positions, Out &r
     return count - 1;
 }
 
+Py_ssize_t Edges::object_along(const In &poses, const In &motion, const In &rooms) {
+    const Py_ssize_t count = poses.size / 12;
+    check_fit(count > 0 && poses.size == 12 * count && motion.size == 2 * (count - 1) && rooms.size == pairs);
+    nb::gil_scoped_release released;
+    for (Held &one : held) one.room = rooms.data[one.pair];
+    for (Py_ssize_t i = 0; i + 1 < count; i++)
+        for (Held &one : held) {
+            const Py_ssize_t k = one.pair;
+            one.room -= motion.data[2 * i] + motion.data[2 * i + 1] * levers.data[k];
+            if (one.room >= spare.data[k]) continue;
+            const Pose T = compose(reinterpret_cast<const Pose *>(poses.data)[i + 1], one.T_object_shape);
+            one.room = shapes.bound_at(k, T, COARSE) - required.data[k];
+            if (one.room < spare.data[k]) one.room = shapes.bound_at(k, T, FINE) - required.data[k];
+            if (one.room < spare.data[k]) {
+                std::swap(one, held.front()); /* it stops the next one, too */
+                return i;
+            }
+        }
+    return count - 1;
+}
+
+Py_ssize_t Edges::arms_along(const In &poses, Out &positions) {
+    const Py_ssize_t count = poses.size / 12;
+    check_fit(count > 0 && poses.size == 12 * count && positions.size == count * joints);
+    nb::gil_scoped_release released;
+    double stop[2];
+    for (Py_ssize_t i = 0; i + 1 < count; i++) {
+        const Pose &from = reinterpret_cast<const Pose *>(poses.data)[i];
+        double *a = positions.data + joints * i;
+        if (!step_arms(from, *(&from + 1), a, a + joints, stop)) return i;
+    }
+    return count - 1;
+}
+
 void Edges::measure(const In &x, Out &rooms) {
     check_fit(x.size == joints && rooms.size == pairs);
     for (Py_ssize_t k = 0; k < pairs; k++) rooms.data[k] = asked(k, x.data, FINE);
@@ -231,5 +271,7 @@ void bind_edges(nb::module_ &m) {
     nb::class_<Edges>(m, "Edges", "Edges of a search for the object's path.")
         .def("__init__", build_edges)
         .def("walk", &Edges::walk)
+        .def("object_along", &Edges::object_along)
+        .def("arms_along", &Edges::arms_along)
         .def("measure", &Edges::measure);
 }

@@ -27,6 +27,11 @@ public:
      * `motion` (K − 1, 2) [m] and turns by [rad]. Fills positions (K, nv) and rooms (K, P) as far as it goes; `stop` (2) is
      * what stops it and the number of the joint or the pair. Returns the index of the last pose that is reached. */
     Py_ssize_t walk(const In &poses, const In &motion, Out &positions, Out &rooms, Out &stop);
+    /* The index of the last of such poses that the object alone gets to, from rooms (P) at the first: nothing that an arm
+     * carries is asked, and nothing between the poses. */
+    Py_ssize_t object_along(const In &poses, const In &motion, const In &rooms);
+    /* The index of the last of such poses that the arms get to from the first of positions (K, nv), which it fills. */
+    Py_ssize_t arms_along(const In &poses, Out &positions);
     /* Rooms (P) at joint positions (nv). */
     void measure(const In &x, Out &rooms);
 
@@ -38,6 +43,11 @@ private:
         int n;
 
         Arm numbered() const { return {n, numbers.data(), numbers.data() + PER_JOINT * n}; }
+    };
+    struct Held { /* the object's shape of a pair with what stands */
+        Py_ssize_t pair;
+        Pose T_object_shape;
+        double room;
     };
     bool step_arms(const Pose &from, const Pose &to, const double *at, double *x, double *stop);
     bool keeps_sigma(const OneArm &arm, const double *q) const;
@@ -51,6 +61,7 @@ private:
 
     Shapes shapes;
     std::vector<OneArm> arms;
+    std::vector<Held> held;
     Py_ssize_t pairs, joints;
     In reach, levers, required, spare, lower, upper; /* reach: (nv, P) */
     double sigma, bent;

@@ -151,6 +151,12 @@ double Shapes::bound(Py_ssize_t k, double enough, double tolerance) {
     return least_gap(a, b, ways[(size_t)k], enough, tolerance, nullptr);
 }
 
+double Shapes::bound_at(Py_ssize_t k, const Pose &T, double tolerance) {
+    const size_t i = (size_t)first[(size_t)k], j = (size_t)second[(size_t)k], held = shape[i].joint < 0 ? j : i;
+    shape[held].T = T, stamps[held] = 0;
+    return least_gap(shape[i], shape[j], ways[(size_t)k], INFINITY, tolerance, nullptr);
+}
+
 double Shapes::gap(Py_ssize_t k, double *ends) {
     const Shape &a = placed((size_t)first[(size_t)k]), &b = placed((size_t)second[(size_t)k]);
     Vector3 &way = ways[(size_t)k], point;

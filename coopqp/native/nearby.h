@@ -53,6 +53,8 @@ public:
     void place(const double *x);
     /* A lower bound of the distance of a pair where the shapes are placed: `enough`, or as good as `tolerance`. */
     double bound(Py_ssize_t k, double enough, double tolerance);
+    /* The same of a shape that stands and one that is held, where that one is put. */
+    double bound_at(Py_ssize_t k, const Pose &T, double tolerance);
     /* The same as good as the distance, with the unit normal from the first shape to the second and a nearest point of the
      * second; they are NaN where the cores touch. */
     double gap(Py_ssize_t k, double *ends);

@@ -20,14 +20,10 @@ import numpy as np
 import pinocchio as pin
 
 from coopqp.errors import InvalidInputError
-from coopqp.native.constants import TURN_LENGTH
+from coopqp.native.constants import NO_CORNER, RAMP_AT_MIDDLE, SHORTEST_LINE, TURN_LENGTH
 from coopqp.spatial import Array, as_placement, cross, rotations
 
 _Number = TypeVar("_Number", float, Array)
-#: Twists per unit of s that differ by more than this make a corner [1, rad/m].
-_CORNER = 1e-9
-#: Largest value of a blend's ramp before its middle, as a share of its half length.
-RAMP_AT_MIDDLE = 3.0 / 16.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -290,7 +286,7 @@ class PathGeometry:
         found = []
         for i, (before, after) in enumerate(itertools.pairwise(self.pieces)):
             ends = before.twists(np.array([before.length]))[0], after.twists(np.zeros(1))[0]
-            if np.abs(ends[1] - ends[0]).max() > _CORNER:
+            if np.abs(ends[1] - ends[0]).max() > NO_CORNER:
                 found.append(i + 1)
         return tuple(found)
 
@@ -356,12 +352,12 @@ def blended(lines: Sequence[Straight], *, distance: float | Array, angle: float 
         apart = float(np.linalg.norm(b.way / b.length - a.way / a.length)) * RAMP_AT_MIDDLE
         turned = float(np.linalg.norm(b.turn / b.length - a.turn / a.length)) * RAMP_AT_MIDDLE
         longest = [0.5 * min(a.length, b.length)]
-        longest += [limit / size for limit, size in ((widest, apart), (most, turned)) if size > _CORNER]
+        longest += [limit / size for limit, size in ((widest, apart), (most, turned)) if size > NO_CORNER]
         cuts.append(min(longest) if len(longest) > 1 else 0.0)
     cuts.append(0.0)
     pieces: list[Piece] = []
     for i, line in enumerate(lines):
-        if line.length - cuts[i] - cuts[i + 1] > 1e-12:
+        if line.length - cuts[i] - cuts[i + 1] > SHORTEST_LINE:
             pieces.append(line.part(cuts[i], line.length - cuts[i + 1]))
         half = cuts[i + 1]
         if half > 0.0:

@@ -23,7 +23,7 @@ from coopqp.paths.geometry import blended
 from coopqp.planning import ArmGoal, FreeTurn, PathVerdict, Route, RouteVerdict, TurnedGoal
 from coopqp.planning.route.duration import estimated_duration
 from coopqp.planning.route.edges import EdgeLimits, limits_with
-from coopqp.planning.route.sampling import samples_of
+from coopqp.planning.route.sampling import rounded, samples_of
 from coopqp.planning.route.tree import STEP, Pose, distance
 from coopqp.scenarios import dual_arm7
 
@@ -244,7 +244,7 @@ def test_compiled_edges_go_as_far_as_their_definition() -> None:
     rooms = [edges.rooms(x) for edges in both]
     np.testing.assert_allclose(*rooms, atol=1e-4)
     rng = np.random.default_rng(0)
-    kinds = set()
+    kinds, stoppers = set(), set()
     for _ in range(12):
         goal = problem.start * pin.exp6(pin.Motion(rng.uniform(-1.0, 1.0, 6) * [0.3, 0.3, 0.3, 0.5, 0.5, 0.5]))
         a, b = Pose.of(problem.start), Pose.of(goal)
@@ -257,10 +257,40 @@ def test_compiled_edges_go_as_far_as_their_definition() -> None:
         assert len(one.positions) == len(other.positions)
         np.testing.assert_allclose(one.positions, other.positions, atol=1e-7)
         kinds.add(one.stop.kind)
+        # The object alone, and the arms alone, get at least as far as both together, and as far as their definition.
+        alone = [edges.object_along(rows, motion, room) for edges, room in zip(both, rooms, strict=True)]
+        arms_alone = [edges.arms_along(rows, x) for edges in both]
+        assert alone[0] == alone[1] >= len(one.positions)
+        assert len(arms_alone[0]) == len(arms_alone[1]) >= len(one.positions)
+        np.testing.assert_array_equal(arms_alone[0][: len(one.positions)], one.positions)
+        stopped_by_object = one.stop.kind == "pair" and np.isfinite(scene.required_at(x[None])[1][one.stop.number])
+        stoppers.add((stopped_by_object, alone[0] < len(rows)))
         far = Distances(scene.built).all(cell.configuration(one.positions[-1])) - required
         assert (one.rooms[-1] <= far + 1e-6).all()
         assert (other.rooms[-1] <= far + 1e-6).all()
     assert {"pair", ""} <= kinds or len(kinds) > 1
+    assert {(True, True), (False, False)} <= stoppers
+
+
+@pytest.mark.core
+@pytest.mark.skipif(compiled() is None, reason="compares the compiled samples with their definition")
+def test_compiled_samples_of_rounded_corners_are_those_of_the_geometry() -> None:
+    problem = route_cases.posts3()
+    x = problem.cell.positions(problem.q_start)
+    limits = limits_with(problem.cell, x[None], problem.scene.required_at(x[None])[0])
+    edges = problem.scene.edges([ArmKinematics(arm) for arm in problem.cell.arms], problem.grasp, limits)
+    rng = np.random.default_rng(3)
+    for corners in (0, 1, 2, 5, 40):
+        poses = [Pose(rng.normal(size=3), np.asarray(pin.exp3(rng.normal(size=3)))) for _ in range(corners + 2)]
+        deviations = rng.choice([0.0, 1e-3, 0.05, 10.0], corners)
+        if corners == 2:  # a corner that is none, and one of which no way is left
+            poses[2] = Pose(2.0 * poses[1].p - poses[0].p, poses[1].R @ poses[0].R.T @ poses[1].R)
+        geometry = rounded(poses, deviations)
+        found = edges.samples(np.array([pose.row() for pose in poses]), deviations)
+        for one, other in zip(found, samples_of(geometry), strict=True):
+            np.testing.assert_allclose(one, other, atol=1e-10)
+        R, p = geometry.poses(found.s)
+        np.testing.assert_allclose(found.poses, np.hstack([R.reshape(-1, 9), p]), atol=1e-8)
 
 
 def test_a_pose_is_pushed_off_bodies_across_the_line_and_not_along_it() -> None:

@@ -191,7 +191,7 @@ class Detours:
                 continue
             poses = corners_of(way) if unit is None else (line[0].pose, *corners_of(way))
             shape = shaper.shaped(line[0], poses, WIDEST)
-            if shape is None or shape.geometry.corners:  # it would rest at a corner that is not rounded
+            if shape is None or shape.geometry().corners:  # it would rest at a corner that is not rounded
                 continue
             if best is None or shape.duration < best.duration:
                 best = shape
@@ -215,7 +215,7 @@ class Detours:
         if speed and squares[0] < (1.0 - 1e-9) * speed * speed:
             return None
         most = max(self._fastest, speed) ** 2
-        s, squares, geometry = shape.s, np.minimum(squares, most), shape.geometry
+        s, squares, geometry = shape.s, np.minimum(squares, most), shape.geometry()
         if speed:
             s, squares = np.insert(s, 1, _LEAD_IN), np.concatenate([[0.0, speed * speed], squares[1:]])
         if back is not None:

@@ -42,6 +42,20 @@ class EdgeLimits:
     sigma_min: float = LEAST_SIGMA
 
 
+class Samples(NamedTuple):
+    """Samples along a geometry.
+
+    Attributes:
+        s: where they are (K,) [m].
+        poses: of the object, rows of R (9), p (3): (K, 12).
+        motion: between samples the origin moves by at most this [m], and the object turns by this [rad] (K − 1, 2).
+    """
+
+    s: Array
+    poses: Array
+    motion: Array
+
+
 class Stop(NamedTuple):
     """What stops an edge.
 
@@ -88,8 +102,29 @@ class Edges(Protocol):
         """
         ...
 
+    def object_along(self, poses: Array, motion: Array, rooms: Array) -> int:
+        """How many of the poses, from the first one on, the object keeps its distances at from what stands.
+
+        What the arms would have to do is left out, and what is between the poses: one that is not passed is not walked
+        to either. Arguments as for :meth:`walk`.
+        """
+        ...
+
+    def arms_along(self, poses: Array, x: Array) -> Array:
+        """Joint positions (K, nv) of that walk as far as the arms follow, whatever the distances."""
+        ...
+
     def line(self, start: Array, goal: Array, steps: int) -> Array:
         """Poses along the straight edge between two (12,), rows of R (9), p (3): (steps + 1, 12)."""
+        ...
+
+    def samples(self, poses: Array, deviations: Array) -> Samples:
+        """Samples of straight lines with corners rounded off, see :func:`coopqp.planning.route.sampling.rounded`.
+
+        Args:
+            poses: both ends, and the corners, rows of R (9), p (3): (M, 12).
+            deviations: at most this far from each corner (M − 2,) [m].
+        """
         ...
 
     def rooms(self, x: Array) -> Array:

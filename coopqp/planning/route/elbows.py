@@ -13,12 +13,11 @@ from typing import NamedTuple
 import numpy as np
 
 from coopqp.model.batch import REACHED
-from coopqp.native.constants import TURN_LENGTH
-from coopqp.paths.geometry import PathGeometry, blended
+from coopqp.paths.geometry import PathGeometry
 from coopqp.planning.route.edges import LEAST_SIGMA
-from coopqp.planning.route.sampling import samples_of
+from coopqp.planning.route.sampling import rounded, samples_of
 from coopqp.planning.route.search import Searched
-from coopqp.planning.route.shape import corners_of, lines_between
+from coopqp.planning.route.shape import corners_of
 from coopqp.planning.route.shorten import shortened
 from coopqp.planning.route.tree import Node
 from coopqp.spatial import Array
@@ -64,7 +63,7 @@ def led_ways(
     poses = (*first, *last[1:])
     for widest in _WIDEST:
         deviations = np.full(len(poses) - 2, widest)
-        geometry = blended(lines_between(poses), distance=deviations, angle=deviations / TURN_LENGTH)
+        geometry = rounded(poses, deviations)
         s, rows, _ = samples_of(geometry)
         ahead = _walked(task, rows, before[0].x)
         back = _walked(task, rows[::-1], behind[0].x)[::-1]

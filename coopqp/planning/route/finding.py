@@ -41,9 +41,9 @@ from coopqp.spatial import Array, Placement, as_placement
 _BELOW, _ABOVE = 0.3, 0.4
 #: Time to make a way shorter and faster [s], and the first part of it, in which other ways are searched: so many at
 #: most, with so many nodes besides twice those of the first.
-_BETTERING, _SEARCHING, _OTHERS, _OTHER_NODES = 0.7, 0.15, 6, 100
+_BETTERING, _SEARCHING, _OTHERS, _OTHER_NODES = 0.6, 0.15, 6, 100
 #: Of the shapes, so many are made faster by a few changes, and then the fastest by many.
-_PROMISING, _FEW_CHANGES, _MANY_CHANGES = 2, 50, 1000
+_PROMISING, _FEW_CHANGES, _MANY_CHANGES = 3, 100, 2000
 #: Poses of a goal, of those from which the arms hold the object, that the search leads to.
 _MOST_GOALS = 3
 #: Ways that are searched until one is proved.
@@ -331,7 +331,7 @@ class _Finding:
                     shape = self._shaper.shaped(given.start, given.poses, widest)
                 if shape is None:
                     continue
-                path = some_timing(shape.geometry)
+                path = some_timing(shape.geometry())
                 start = shape.start
                 q_start = self._exact(start.pose.placement(), start.x)
                 check = check_path(self._cell, self._grasp, path, q_start=q_start, scene=self._scene)

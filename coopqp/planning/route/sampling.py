@@ -1,29 +1,44 @@
-"""Samples of a geometry for a walk of the arms: all its pieces at once, as a search asks for hundreds of geometries."""
+"""Samples of lines with rounded corners for a walk of the arms: the definition of ``rounded.cpp``."""
 
 from __future__ import annotations
 
+import itertools
+from collections.abc import Sequence
+
 import numpy as np
 
-from coopqp.paths.geometry import Blend, PathGeometry, Straight, ramp
-from coopqp.planning.route.tree import STEP
+from coopqp.native.constants import TURN_LENGTH
+from coopqp.paths.geometry import Blend, PathGeometry, Straight, blended, ramp
+from coopqp.planning.route.edges import Samples
+from coopqp.planning.route.tree import STEP, Pose, between, length_of
 from coopqp.spatial import Array, rotations
 
 #: Samples of a piece, at least.
-_LEAST = 4
+LEAST_SAMPLES = 4
 
 
-def samples_of(geometry: PathGeometry) -> tuple[Array, Array, Array]:
-    """Poses along straight lines and blends, and how far the object moves between them at most.
+def rounded(poses: Sequence[Pose], deviations: Array) -> PathGeometry:
+    """Straight lines from each pose to the next, with corners rounded off.
+
+    Args:
+        poses: both ends, and the corners.
+        deviations: at most this far from each corner [m]; an angle of it over 0.3 m.
+    """
+    lines = []
+    for a, b in itertools.pairwise(poses):
+        way, turn = between(a, b)
+        lines.append(Straight(a.R, a.p, turn, way, length_of(way, turn)))
+    return blended(lines, distance=deviations, angle=deviations / TURN_LENGTH)
+
+
+def samples_of(geometry: PathGeometry) -> Samples:
+    """Samples of straight lines and blends, each piece's ends among them: all pieces at once.
 
     Args:
         geometry: its pieces are :class:`Straight` or :class:`Blend`.
-
-    Returns:
-        s of the samples (K,) [m], each piece's ends among them; poses, rows of R (9), p (3): (K, 12); and bounds of the
-        origin's motion [m] and the turn [rad] between samples (K − 1, 2).
     """
     lengths = np.array([piece.length for piece in geometry.pieces])
-    counts = np.maximum(np.ceil(lengths / STEP).astype(int), _LEAST)
+    counts = np.maximum(np.ceil(lengths / STEP).astype(int), LEAST_SAMPLES)
     own = np.repeat(np.arange(len(lengths)), counts)
     number = np.arange(len(own)) - np.repeat(np.cumsum(counts) - counts, counts)
     low, high = number / counts[own], (number + 1.0) / counts[own]
@@ -41,7 +56,7 @@ def samples_of(geometry: PathGeometry) -> tuple[Array, Array, Array]:
         sizes = np.sqrt((vectors * vectors).sum(axis=2))[own]
         motion[:, i] = (before[2] * sizes[:, 0] + after[3] * sizes[:, 1]) * (high - low)
     s = np.append((geometry.marks[:-1])[own] + low * lengths[own], geometry.length)
-    return s, np.hstack([R.reshape(-1, 9), p]), motion
+    return Samples(s, np.hstack([R.reshape(-1, 9), p]), motion)
 
 
 def _numbers(piece: object) -> tuple[Array, Array, Array]:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
 import math
 import time
 from collections.abc import Sequence
@@ -14,11 +13,11 @@ import pinocchio as pin
 
 from coopqp.model.joint_limits import JointLimits
 from coopqp.native.constants import TURN_LENGTH
-from coopqp.paths.geometry import PathGeometry, Straight, blended
+from coopqp.paths.geometry import PathGeometry
 from coopqp.planning.route.duration import estimated_duration
-from coopqp.planning.route.edges import Edges
-from coopqp.planning.route.sampling import samples_of
-from coopqp.planning.route.tree import Node, Pose, between, distance, length_of, part_of
+from coopqp.planning.route.edges import Edges, Samples
+from coopqp.planning.route.sampling import rounded
+from coopqp.planning.route.tree import Node, Pose, distance, part_of
 from coopqp.spatial import Array
 
 #: Largest deviation at a corner [m], with an angle of it over 0.3 m; a corner with less than the least is not rounded.
@@ -39,7 +38,6 @@ class Shape(NamedTuple):
     Attributes:
         poses: of both ends and of the corners between them.
         deviations: largest deviation at each corner [m].
-        geometry: what follows from them.
         start: where the arms start.
         s: of samples along it (K,) [m].
         rows: the object's pose there, rows of R (9), p (3): (K, 12).
@@ -50,13 +48,16 @@ class Shape(NamedTuple):
 
     poses: tuple[Pose, ...]
     deviations: Array
-    geometry: PathGeometry
     start: Node
     s: Array
     rows: Array
     positions: Array
     rooms: Array
     duration: float
+
+    def geometry(self) -> PathGeometry:
+        """Its lines and blends."""
+        return rounded(self.poses, self.deviations)
 
 
 def corners_of(way: Sequence[Node]) -> tuple[Pose, ...]:
@@ -76,15 +77,6 @@ def _bends(a: Pose, b: Pose, c: Pose) -> bool:
     """Whether b is off the straight edge from a to c."""
     first, second = distance(a, b), distance(b, c)
     return distance(part_of(a, c, first / (first + second)), b) > _STRAIGHT
-
-
-def lines_between(poses: Sequence[Pose]) -> list[Straight]:
-    """Straight lines from each pose to the next."""
-    lines = []
-    for a, b in itertools.pairwise(poses):
-        way, turn = between(a, b)
-        lines.append(Straight(a.R, a.p, turn, way, length_of(way, turn)))
-    return lines
 
 
 @final
@@ -137,9 +129,8 @@ class Shaper:
         for k in range(len(shape.poses) - 2, first - 1, -1):
             if time.perf_counter() < until:
                 others = shape.poses[:k] + shape.poses[k + 1 :]
-                fewer = self._free(shape.start, others, np.delete(shape.deviations, k - 1), known=shape)
-                if isinstance(fewer, Shape) and fewer.duration < (1.0 + _WORTH_A_CORNER) * shape.duration:
-                    shape = fewer
+                most = (1.0 + _WORTH_A_CORNER) * shape.duration
+                shape = self._changed(shape, others, np.delete(shape.deviations, k - 1), most) or shape
         size = _SIZES[1]
         again: _Change | None = None
         for _ in range(math.ceil(self.edges.effort * changes)):
@@ -159,30 +150,45 @@ class Shaper:
                         poses[i] = Pose(poses[i].p + share * change.move, turned)
                 deviations[k - 1] = min(max(2.0 * deviations[k - 1], _LEAST), WIDEST)
                 again = change
-            changed = self._free(shape.start, poses, deviations, known=shape)
-            if isinstance(changed, Shape) and changed.duration < shape.duration:
+            changed = self._changed(shape, poses, deviations, shape.duration)
+            if changed is not None:
                 shape, size = changed, min(_UP * size, _SIZES[2])
             else:
                 size, again = max(_DOWN * size, _SIZES[0]), None
         return shape
 
-    def _free(
-        self, start: Node, poses: Sequence[Pose], deviations: Array, *, known: Shape | None = None
-    ) -> Shape | Pose:
-        """The shape; where it is not free, the pose that it is free to. It is free as far as it is a known one's."""
-        geometry = blended(lines_between(poses), distance=deviations, angle=deviations / TURN_LENGTH)
-        s, rows, motion = samples_of(geometry)
-        i = 0 if known is None else _last_alike(known.rows, rows)
-        x, room = (start.x, start.rooms) if known is None else (known.positions[i], known.rooms[i])
-        found = self.edges.walk(rows[i:], motion[i:], x, room)
-        last = i + len(found.positions) - 1
-        if last < len(rows) - 1:
-            return Pose.of_row(rows[last])
-        positions, rooms = found.positions, found.rooms
-        if known is not None:
-            positions, rooms = np.vstack([known.positions[:i], positions]), np.vstack([known.rooms[:i], rooms])
+    def _free(self, start: Node, poses: Sequence[Pose], deviations: Array) -> Shape | Pose:
+        """The shape; where it is not free, the pose that it is free to."""
+        s, rows, motion = self._samples(poses, deviations)
+        found = self.edges.walk(rows, motion, start.x, start.rooms)
+        if len(found.positions) < len(rows):
+            return Pose.of_row(rows[len(found.positions) - 1])
+        duration = estimated_duration(self.limits, s, found.positions, speed=self.speed)
+        return Shape(tuple(poses), deviations.copy(), start, s, rows, found.positions, found.rooms, duration)
+
+    def _changed(self, known: Shape, poses: Sequence[Pose], deviations: Array, most: float) -> Shape | None:
+        """What a shape becomes by a change; None if it is not free or its motion takes no less than ``most`` [s].
+
+        It is free as far as it is the known one. What costs least goes first: the object alone, as most changes end in
+        that, then the arms, then all distances.
+        """
+        s, rows, motion = self._samples(poses, deviations)
+        i = _last_alike(known.rows, rows)
+        ahead, way, x, rooms = rows[i:], motion[i:], known.positions[i], known.rooms[i]
+        if self.edges.object_along(ahead, way, rooms) < len(ahead):
+            return None
+        followed = self.edges.arms_along(ahead, x)
+        positions = np.vstack([known.positions[:i], followed])
+        if len(positions) < len(rows):
+            return None
         duration = estimated_duration(self.limits, s, positions, speed=self.speed)
-        return Shape(tuple(poses), deviations.copy(), geometry, start, s, rows, positions, rooms, duration)
+        if not duration < most or len((found := self.edges.walk(ahead, way, x, rooms)).positions) < len(ahead):
+            return None
+        rooms = np.vstack([known.rooms[:i], found.rooms])
+        return Shape(tuple(poses), deviations, known.start, s, rows, positions, rooms, duration)
+
+    def _samples(self, poses: Sequence[Pose], deviations: Array) -> Samples:
+        return self.edges.samples(np.array([pose.row() for pose in poses]), deviations)
 
 
 def _last_alike(a: Array, b: Array) -> int:
