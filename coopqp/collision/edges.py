@@ -11,7 +11,7 @@ from coopqp.collision.built_scene import BuiltScene
 from coopqp.collision.coal_geometry import core_shape
 from coopqp.collision.distances import KERNEL
 from coopqp.collision.edges_plain import BENT, FAR, PlainEdges
-from coopqp.collision.gaps import object_pairs
+from coopqp.collision.gaps import ObjectPair, object_pairs
 from coopqp.model.batch import ArmKinematics
 from coopqp.model.grasp import Grasp
 from coopqp.planning.route.edges import EdgeLimits, Edges, Samples, Stop, Walked, columns_of
@@ -66,10 +66,7 @@ class _CompiledEdges:
             "reach": np.ascontiguousarray(built.reach.T),
             "levers": np.minimum(built.levers, FAR),
             "required": limits.required, "spare": limits.spare, "lower": limits.lower, "upper": limits.upper,
-            "held": np.array([
-                [pair.number, *T.rotation.ravel(), *T.act(core_shape(pair.held).centre)]
-                for pair in object_pairs(built, grasp) for T in [pair.T_object_held]
-            ], dtype=float),
+            "held": np.array([_numbers_of(pair) for pair in object_pairs(built, grasp)], dtype=float),
             "settings": np.array([limits.sigma_min, BENT]),
         }  # fmt: skip
         of_arms = [
@@ -123,6 +120,12 @@ class _CompiledEdges:
         out = np.empty(self._pairs)
         self._native.measure(np.ascontiguousarray(x), out)
         return out
+
+
+def _numbers_of(pair: ObjectPair) -> list[float]:
+    """Its number, and where the held shape's core is in the object, R (9), p (3)."""
+    T = pair.T_object_held
+    return [pair.number, *T.rotation.ravel(), *T.act(core_shape(pair.held).centre)]
 
 
 def _room_for(samples: int) -> Samples:

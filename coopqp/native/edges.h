@@ -27,8 +27,8 @@ public:
      * `motion` (K − 1, 2) [m] and turns by [rad]. Fills positions (K, nv) and rooms (K, P) as far as it goes; `stop` (2) is
      * what stops it and the number of the joint or the pair. Returns the index of the last pose that is reached. */
     Py_ssize_t walk(const In &poses, const In &motion, Out &positions, Out &rooms, Out &stop);
-    /* The index of the last of such poses that the object alone gets to, from rooms (P) at the first: nothing that an arm
-     * carries is asked, and nothing between the poses. */
+    /* The index of the last of such poses that the object alone gets to, from rooms (P) at the first: its pairs
+     * with what stands are asked, at the poses only. */
     Py_ssize_t object_along(const In &poses, const In &motion, const In &rooms);
     /* The index of the last of such poses that the arms get to from the first of positions (K, nv), which it fills. */
     Py_ssize_t arms_along(const In &poses, Out &positions);
@@ -44,7 +44,7 @@ private:
 
         Arm numbered() const { return {n, numbers.data(), numbers.data() + PER_JOINT * n}; }
     };
-    struct Held { /* the object's shape of a pair with what stands */
+    struct Held { /* a pair of the object with what stands, and its room */
         Py_ssize_t pair;
         Pose T_object_shape;
         double room;
