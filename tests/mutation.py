@@ -2,11 +2,10 @@
 
 Places are sampled in each package and in the C code. At each, one change is made (``mutants/python.py``,
 ``mutants/c.py``) in a copy of the tree, and tests run until one fails. Which ones: those in the folder that is named
-like the package, then those of the packages that import it; of both those that execute the line, the quickest and the
-most particular first, up to a number of seconds. The map of lines and tests is measured once, folder by folder as it is
-needed, with coverage.py, and kept (``--map``; remove the file after larger changes); what a test does in another
-process is not in it. A mutant of C is compiled and meets the quick tests marked ``core``, those first that killed the
-most until then.
+like the package, then all others; of both those that execute the line, the quickest and the most particular first, up
+to a number of seconds. The map of lines and tests is measured once, folder by folder as it is needed, with coverage.py,
+and kept (``--map``; remove the file after larger changes); what a test does in another process is not in it. A mutant
+of C is compiled and meets the quick tests marked ``core``, those first that killed the most until then.
 
 A mutant that survives lacks a test, or is equivalent: then ``mutants/equivalent.py`` says why. A mutant that makes the
 tests run for ever is killed by its share of processor time, which another program's work does not use up.
@@ -111,7 +110,7 @@ class Trial:
         copy: of the tree.
         map_file: which test executes which line; what is missing is measured when it is asked for.
         seconds: of tests that a mutant meets in each of the two lines.
-        slow: tests marked slow, too.
+        slow: tests marked slow in the package's folder, too.
     """
 
     def __init__(self, copy: Copy, map_file: Path, *, seconds: float, slow: bool) -> None:
@@ -125,15 +124,15 @@ class Trial:
     def test(self, mutant: Mutant) -> None:
         """Write the mutant, run its tests, put the file back."""
         started = time.monotonic()
-        for folders in folders_of(mutant.group) if mutant.group != "C" else [[]]:
-            for mark in self._marks if folders else ():  # before the file is changed
-                self._reach.measure(
-                    self._copy, [f for f in self._files if f.startswith(tuple(folders))], mark, self._map_file
-                )
+        own, others = folders_of(mutant.group) if mutant.group != "C" else ([], [])
+        for folders, marks in ((own, self._marks), (others, ("not slow",))):
+            files = [f for f in self._files if f.startswith(tuple(folders))]
+            for mark in marks:  # before the file is changed
+                self._reach.measure(self._copy, files, mark, self._map_file)
             tests = self._tests(mutant, folders)
             with self._copy.changed(mutant.module, mutant.write(self._copy.folder)) as compiled:
                 mutant.killer = self._killer(mutant, tests) if compiled else "the compiler"
-            if mutant.killer:
+            if mutant.killer or not others:
                 break
         mutant.outcome = "killed" if mutant.killer else "equivalent" if mutant.why_equivalent else "survived"
         mutant.seconds = round(time.monotonic() - started, 1)
@@ -183,7 +182,7 @@ def main() -> int:
     parser.add_argument("--only", nargs="+", choices=GROUPS, metavar="GROUP", default=GROUPS, help="default all")
     parser.add_argument("--least", type=float, default=0.9, help="share to be killed in each group (default 0.9)")
     parser.add_argument("--seconds", type=float, default=20.0, help="of tests that a mutant meets, twice (default 20)")
-    parser.add_argument("--slow", action="store_true", help="tests marked slow, too")
+    parser.add_argument("--slow", action="store_true", help="tests of the package marked slow, too")
     default = ROOT / "out" / "mutation_map.json"
     parser.add_argument("--map", type=Path, default=default, help="which test executes which line: made if missing")
     parser.add_argument("--json", type=Path, help="write each mutant and what came of it to this file")

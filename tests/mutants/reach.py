@@ -1,7 +1,6 @@
 """Which tests look at a line: found by package, measured once, kept in a file, and asked for each mutant.
 
-The tests of a package stand in the folder of its name. Behind them, in a second line, are those of the packages that
-import it, and the catalogue's.
+The tests of a package stand in the folder of its name. Behind them, in a second line, are all others.
 
 The map is measured by coverage.py, file by file. A line outside of functions, which an import executes, is no test's
 own; there, and after a line's own tests, come those that spend the largest part of their lines on its module.
@@ -16,8 +15,6 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 
-import count
-
 from mutants.copies import ROOT, Copy
 
 #: Tests of a line that are kept in each folder, quick ones and those marked slow.
@@ -25,14 +22,10 @@ _KEPT = 60
 
 
 def folders_of(package: str, root: Path = ROOT) -> tuple[list[str], list[str]]:
-    """Folders with the tests of a package, and those of its second line, both relative to the root."""
-    importing = {
-        name.split(".")[1]
-        for name, imported in count.imports(root).items()
-        if any(one.startswith(f"coopqp.{package}.") or one == f"coopqp.{package}" for one in imported)
-    }
-    second = [*sorted(importing - {package}), "reliability"]
-    return [f"tests/{package}/"], [f"tests/{name}/" for name in second if (root / "tests" / name).is_dir()]
+    """Folders with the tests of a package, and all others, which are its second line, both relative to the root."""
+    folders = {f"tests/{file.parent.name}/" for file in root.glob("tests/*/test_*.py")} - {"tests/browser/"}
+    own = f"tests/{package}/"
+    return [own], sorted(folders - {own})
 
 
 @dataclass

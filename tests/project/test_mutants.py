@@ -81,12 +81,11 @@ def test_only_tests_in_the_folders_asked_for_are_chosen() -> None:
     assert reach.tests("m.py", "", 9.0, ["tests/forces/"]) == ["tests/forces/test_a.py::c"]
 
 
-@pytest.mark.slow
-def test_the_tests_of_a_package_come_before_those_of_its_importers() -> None:
+def test_the_tests_of_a_package_come_before_all_others() -> None:
     own, second = folders_of("forces")
     assert own == ["tests/forces/"]
-    assert {"tests/cli/", "tests/simulation/", "tests/reliability/"} <= {*second}
-    assert not {"tests/forces/", "tests/planning/"} & {*second}
+    assert {"tests/cli/", "tests/simulation/", "tests/planning/", "tests/programs/"} <= {*second}
+    assert not {"tests/forces/", "tests/browser/", "tests/support/"} & {*second}
 
 
 def test_every_package_has_a_folder_of_tests() -> None:
