@@ -1,0 +1,128 @@
+"""Robot descriptions: what is refused before a parser reads it, and where meshes are looked for."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+import pytest
+
+from coopqp.errors import ModelError
+from coopqp.model.description import (
+    MAX_NESTING,
+    check_nesting,
+    check_urdf,
+    description_file,
+    find_package,
+    mesh_folders,
+)
+
+
+@pytest.fixture(autouse=True)
+def _no_packages(monkeypatch: pytest.MonkeyPatch) -> None:
+    for name in ("ROS_PACKAGE_PATH", "AMENT_PREFIX_PATH"):
+        monkeypatch.delenv(name, raising=False)
+
+
+def made(folder: Path) -> Path:
+    folder.mkdir(parents=True)
+    return folder
+
+
+def test_a_package_is_found_where_ros_has_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    near = made(tmp_path / "elsewhere/deep/urdf")
+    assert find_package("arm_description", near) is None
+    installed = made(tmp_path / "install/share/arm_description")
+    monkeypatch.setenv("AMENT_PREFIX_PATH", os.pathsep.join(["", "/nowhere", str(tmp_path / "install")]))
+    assert find_package("arm_description", near) == installed
+    sources = made(tmp_path / "src/arm_description")
+    monkeypatch.setenv("ROS_PACKAGE_PATH", os.pathsep.join(["", str(tmp_path / "src")]))
+    assert find_package("arm_description", near) == sources, "before what is installed"
+    monkeypatch.setenv("ROS_PACKAGE_PATH", str(sources))
+    assert find_package("arm_description", near) == sources, "the folder itself is on the path"
+    beside = made(tmp_path / "elsewhere/arm_description")
+    assert find_package("arm_description", near) == beside, "above the file, before the environment"
+    given = made(tmp_path / "mine/arm_description")
+    assert find_package("arm_description", near, [tmp_path / "mine"]) == given, "what is given comes first"
+    (tmp_path / "elsewhere/deep/tool").write_text("a file, no folder")
+    assert find_package("tool", near) is None
+
+
+def test_a_package_around_the_file_is_found_six_folders_up(tmp_path: Path) -> None:
+    package = made(tmp_path / "arm_description")
+    assert find_package("arm_description", made(package / "urdf")) == package
+    assert find_package("arm_description", made(tmp_path / "1/2/3/4/5/6")) == package
+    assert find_package("arm_description", made(tmp_path / "a/b/c/d/e/f/g")) is None
+
+
+def test_each_folder_of_meshes_is_listed_once_and_those_given_first(tmp_path: Path) -> None:
+    for name in ("arm", "hand"):
+        made(tmp_path / name / "meshes")
+    text = (
+        '<mesh filename="package://arm/meshes/a.stl"/><mesh filename="package://arm/b.stl"/>'
+        "<mesh filename='package://hand/meshes/a.stl'/><mesh filename=\"package://missing/a.stl\"/>"
+    )
+    file = tmp_path / "arm.urdf"
+    assert mesh_folders(text, file, []) == [str(tmp_path)]
+    assert mesh_folders(text, file, ["/given", tmp_path / "x"]) == ["/given", str(tmp_path / "x"), str(tmp_path)]
+    assert mesh_folders('<mesh filename="a.stl"/>', file, []) == []
+
+
+def test_a_xacro_is_refused_with_the_command_that_expands_it(tmp_path: Path) -> None:
+    for name, text in (
+        ("arm.urdf.xacro", '<robot name="a"/>'),
+        ("arm.xacro", '<robot name="a"/>'),
+        ("arm.urdf", '<robot name="a"><xacro:macro name="m"/></robot>'),
+    ):
+        file = tmp_path / name
+        file.write_text(text)
+        with pytest.raises(ModelError, match=rf"arm 'left': .*{name} is a xacro.*: xacro {name} > arm\.urdf"):
+            check_urdf(file, "left")
+
+
+def test_the_root_of_a_urdf_is_a_robot_with_a_name(tmp_path: Path) -> None:
+    file = tmp_path / "arm.urdf"
+    file.write_text('<robot name="a"><link name="b"/><robot/></robot>')
+    assert check_urdf(file, "left") == file.read_text()
+    for text in ("<robot/>", '<robot name=""/>', '<model name="a"/>'):
+        file.write_text(text)
+        with pytest.raises(ModelError, match="its root is no <robot name=…>"):
+            check_urdf(file, "left")
+    for text in ("", "<robot", '<robot name="a">', '<?xml version="1.0" encoding="odd"?><robot name="a"/>'):
+        file.write_text(text)
+        with pytest.raises(ModelError, match=r"arm 'left': .*arm\.urdf is not a readable URDF \("):
+            check_urdf(file, "left")
+
+
+def test_elements_are_nested_five_hundred_deep_at_most(tmp_path: Path) -> None:
+    file = tmp_path / "arm.xml"
+    beside = "<b/>" * 2 * MAX_NESTING  # counts as one
+    for depth, fits in ((MAX_NESTING - 1, True), (MAX_NESTING, False)):
+        file.write_text("<b>" * depth + beside + "</b>" * depth)
+        if fits:
+            check_nesting(file, "left")
+            continue
+        with pytest.raises(ModelError, match=r"arm 'left': the elements of .*arm\.xml are nested more than 500 deep"):
+            check_nesting(file, "left")
+
+
+def test_entities_are_refused(tmp_path: Path) -> None:
+    file = tmp_path / "arm.xml"
+    file.write_text('<!DOCTYPE a [<!ENTITY b "c">]><a>&b;</a>')
+    with pytest.raises(ModelError, match=r"arm 'left': .* declares XML entities"):
+        check_nesting(file, "left")
+    file.write_text("no XML")  # its reader reports that
+    check_nesting(file, "left")
+
+
+def test_a_path_of_a_description_is_a_file(tmp_path: Path) -> None:
+    file = tmp_path / "arm.urdf"
+    file.write_text("")
+    assert description_file(str(file), "left") == file
+    for bad, says in (
+        (tmp_path, "there is no file"),
+        (None, "None is not a path"),
+        ("\0" + "x" * 100, r"no path of a file|there is no file"),
+    ):
+        with pytest.raises(ModelError, match=f"arm 'left': .*({says})"):
+            description_file(bad, "left")  # type: ignore[arg-type]
