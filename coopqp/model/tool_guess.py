@@ -12,6 +12,7 @@ import pinocchio as pin
 from coopqp.errors import ModelError
 from coopqp.model.arm import Arm, mimic_joints
 from coopqp.model.description import check_urdf, description_file
+from coopqp.model.joint_limits import UNLIMITED
 
 #: Names of joints that move fingers.
 _FINGERS = re.compile(r"finger|grip|jaw|knuckle|thumb|claw", re.I)
@@ -109,12 +110,12 @@ def _ranked(names: list[str]) -> list[str]:
 
 
 def _rest(model: pin.Model, joint: int) -> float:
-    """Where a finger is locked [rad or m]: sliding in the middle of its range, turning at zero or the limit nearest."""
+    """Where a finger is locked [rad or m]: sliding in the middle of its range, else at zero or the limit nearest."""
     at = model.joints[joint].idx_q
     low, high = float(model.lowerPositionLimit[at]), float(model.upperPositionLimit[at])
-    if not (np.isfinite(low) and np.isfinite(high) and low <= high):
+    if not low <= high:
         return 0.0
-    if model.joints[joint].shortname().startswith("JointModelP"):
+    if model.joints[joint].shortname().startswith("JointModelP") and max(-low, high) < UNLIMITED:
         return round(0.5 * (low + high), 6)
     return float(np.clip(0.0, low, high))
 
