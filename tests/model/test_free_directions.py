@@ -10,7 +10,7 @@ import pytest
 
 from coopqp import Grasp, InvalidInputError, LinePath, QPController, simulate
 from coopqp.errors import LooseObjectError, UnknownNameError
-from coopqp.model import Free, freed_cell, refuse_loose
+from coopqp.model import CellState, Free, freed_cell, refuse_loose
 from coopqp.model.free_directions import LOOSE, looseness
 from coopqp.native import available_kernels
 from coopqp.scenarios import bar_with_pins, five_joint_pair, five_joint_pins
@@ -87,6 +87,90 @@ def test_an_arm_that_lets_go_may_leave_the_object_loose() -> None:
     refuse_loose(names, grasp)
     with pytest.raises(LooseObjectError, match=r"turn about"):
         refuse_loose(names, grasp, (True, True, False))
+
+
+@pytest.mark.parametrize("kinds", [("", "hinge", ""), ("hinge", "", "ball"), ("", "", ""), ("pin", "ball", "point")])
+@pytest.mark.parametrize("holding", [None, (True, True, False), (False, True, True)])
+def test_looseness_is_the_least_singular_value_of_what_the_grips_leave(
+    kinds: tuple[str, ...], holding: tuple[bool, ...] | None
+) -> None:
+    """Against its definition, with twists at the middle of the grips in units of their distance; "" is rigid."""
+    names = ["a", "b", "c"]
+    grasp = Grasp(tuple(TURNED))
+    for name, kind in zip(names, kinds, strict=True):
+        for axis in KINDS.get(kind, ()):
+            grasp = grasp.freed(name, axis, range=(-1.0, 1.0))
+    kept = [k for k in range(3) if holding is None or holding[k]]
+    middle = np.mean([TURNED[k].translation for k in kept], axis=0)
+    unit = max(float(np.linalg.norm(TURNED[k].translation - middle)) for k in kept)
+    order = ("x", "y", "z", "rx", "ry", "rz")
+    stack = []
+    for k in kept:
+        seen = adjoint(pin.SE3(TURNED[k].rotation, (TURNED[k].translation - middle) / unit))
+        F = seen[:, [order.index(axis) for axis in KINDS.get(kinds[k], ())]]
+        stack.append(np.eye(6) - F @ np.linalg.pinv(F))
+    expected = np.linalg.svd(np.vstack(stack), compute_uv=False)[-1]
+    assert looseness(names, grasp, holding)[0] == pytest.approx(expected, abs=1e-12)
+
+
+def test_the_message_of_a_loose_object_says_how_it_moves() -> None:
+    """A bar between two hinges about its own axis turns; one between two sliders along x slides."""
+    ends = [pin.SE3(np.eye(3), np.array([x, 0.0, 0.2])) for x in (-0.3, 0.3)]
+    for axis, says in (("rx", r"turn about \(-?1, -?0, -?0\)"), ("x", r"slide along \(-?1, -?0, -?0\)")):
+        grasp = Grasp(tuple(ends))
+        for name in ("a", "b"):
+            grasp = grasp.freed(name, axis, range=(-1.0, 1.0))
+        with pytest.raises(LooseObjectError, match="it can " + says.replace("-?0", r"-?[0-9.e-]+")):
+            refuse_loose(("a", "b"), grasp)
+        one = Grasp(tuple(ends)).freed("a", axis, range=(-1.0, 1.0))
+        refuse_loose(("a", "b"), one)
+        with pytest.raises(LooseObjectError):
+            refuse_loose(("a", "b"), one, (True, False))
+
+
+def test_passive_joints_are_joints_of_the_tool_with_their_own_limits() -> None:
+    """At zero the tools are where they were; a slide and two turns move the last frame along and about its axes."""
+    task = five_joint_pair()
+    grasp = task.grasp
+    for axis, ends in (("y", (-0.1, 0.2)), ("rz", (-1.0, 0.5)), ("rx", (-0.3, 9.0))):
+        grasp = grasp.freed("right", axis, range=ends)
+    freed = freed_cell(task.cell, grasp)
+    k = task.cell.index("right")
+    assert [freed.cell.joint_names[j] for j in freed.passive] == [f"right/free_{x}" for x in ("y", "rz", "rx")]
+    assert freed.cell.arms[1 - k] is task.cell.arms[1 - k]
+    limits, plain = freed.cell.limits, task.cell.limits
+    np.testing.assert_array_equal(limits.lower[freed.passive], [-0.1, -1.0, -0.3])
+    np.testing.assert_array_equal(limits.upper[freed.passive], [0.2, 0.5, 9.0])
+    np.testing.assert_array_equal(limits.velocity[freed.passive], [5.0, 20.0, 20.0])
+    np.testing.assert_array_equal(limits.acceleration[freed.passive], np.inf)
+    for field in ("lower", "upper", "velocity", "acceleration"):
+        np.testing.assert_array_equal(getattr(limits, field)[freed.actuated], getattr(plain, field))
+    x = np.zeros(freed.cell.nv)
+    x[freed.actuated] = task.cell.positions(task.q_start)
+    before = CellState(task.cell, task.q_start).T_world_tool
+    for T, U in zip(CellState(freed.cell, x).T_world_tool, before, strict=True):
+        np.testing.assert_allclose(T.homogeneous, U.homogeneous, rtol=0, atol=1e-13)
+    x[freed.passive] = 0.15, 0.4, -0.2
+    moved = before[k] * pin.SE3(pin.utils.rotate("z", 0.4) @ pin.utils.rotate("x", -0.2), np.array([0.0, 0.15, 0.0]))
+    tools = CellState(freed.cell, x).T_world_tool
+    np.testing.assert_allclose(tools[k].homogeneous, moved.homogeneous, rtol=0, atol=1e-13)
+
+
+def test_far_passive_joints_close_the_chain_too() -> None:
+    """From an estimate that is away by more than a step may be."""
+    task = five_joint_pair()
+    grasp = task.grasp.freed("right", "rx", range=(-2.0, 2.0)).freed("left", "rx", range=(-2.0, 2.0))
+    freed = freed_cell(task.cell, grasp)
+    start = freed.configuration(task.cell.positions(task.q_start))
+    np.testing.assert_allclose(freed.cell.positions(start)[freed.passive], 0.0, atol=1e-9)
+    far = freed.cell.positions(start)
+    far[freed.passive] = 0.9, -1.1
+    again = freed.configuration(far[freed.actuated], near=freed.cell.configuration(far))
+    np.testing.assert_allclose(again, start, rtol=0, atol=1e-9)
+    assert np.abs(freed.grasp.relative_errors(CellState(freed.cell, again))).max() < 1e-9
+    for bad in (np.zeros(9), np.full(10, np.nan), np.zeros((1, 10))):
+        with pytest.raises(InvalidInputError, match=r"FreedCell\.configuration: .*Give 10 positions"):
+            freed.configuration(bad)
 
 
 def test_two_five_joint_arms_with_pins_make_every_motion_in_the_core() -> None:

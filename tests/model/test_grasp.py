@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable
 from typing import Any
 
@@ -106,6 +107,71 @@ def test_a_turned_tool_is_named_too(paper: Scenario) -> None:
     nominal[2] = nominal[2] * pin.SE3(pin.exp3(np.array([0.0, np.deg2rad(1.5), 0.0])), np.zeros(3))
     with pytest.raises(InvalidInputError, match=r"arm 'slave_2' grasps 0\.00 mm and 1\.500°"):
         Grasp.from_configuration(paper.cell, paper.q_start, paper.path.start, nominal=Grasp(tuple(nominal)))
+
+
+def test_any_tolerance_down_to_none_is_kept_to(paper: Scenario) -> None:
+    q, T = paper.q_start, paper.path.pose(0.0)
+    exact = Grasp.from_configuration(paper.cell, q, T)
+    Grasp.from_configuration(paper.cell, q, T, nominal=exact, tolerance_m=1e-9, tolerance_rad=1e-9)
+    moved = exact.moved_by([pin.SE3(np.eye(3), np.array([0.0, 0.0, z])) for z in (0.0, 0.0, 1e-3)])
+    turned = exact.moved_by([pin.SE3(pin.exp3(np.array([0.0, 0.0, a])), np.zeros(3)) for a in (0.0, 1e-3, 0.0)])
+    for nominal, metres, radians, says in (
+        (moved, 0.5e-3, 1.0, r"arm 'slave_2' grasps 1\.00 mm and 0\.000° .*tolerance 0\.5 mm, 57\.2958°"),
+        (turned, 10.0, 0.5e-3, r"arm 'slave_1' grasps \d+\.\d\d mm and 0\.057° .*tolerance 10000 mm, 0\.0286479°"),
+        (moved, 0.0, 1.0, r"grasps .*tolerance 0 mm"),
+        (turned, 10.0, 0.0, r"grasps .*tolerance 10000 mm, 0°"),
+    ):
+        with pytest.raises(InvalidInputError, match=says):
+            Grasp.from_configuration(paper.cell, q, T, nominal=nominal, tolerance_m=metres, tolerance_rad=radians)
+
+
+def test_tools_that_move_on_the_object_are_a_new_grasp() -> None:
+    grasp = Grasp.triangle(0.2, 0.3)
+    pin.seed(1)
+    motions = [pin.SE3.Random() for _ in range(3)]
+    for X, M, moved in zip(grasp.T_object_tool, motions, grasp.moved_by(motions).T_object_tool, strict=True):
+        close(moved, M * X)
+    for wrong in (motions[:2], [*motions, pin.SE3.Identity()]):
+        with pytest.raises(ValueError, match="zip"):
+            grasp.moved_by(wrong)
+
+
+# -- directions in which a grasp gives way -----------------------------------------------------------------------------
+
+
+def test_free_directions_are_kept_in_order_and_the_grasp_as_it_was() -> None:
+    grasp = Grasp.triangle(0.2, 0.3)
+    one = grasp.freed("b", "rx", range=(-0.5, 1)).freed("a", "z", range=(-9.0, 7.0))
+    two = one.freed("b", "x", range=(-0.1, 0.2))
+    assert [(f.arm, f.axis, f.low, f.high) for f in two.free] == [
+        ("b", "rx", -0.5, 1.0), ("a", "z", -9.0, 7.0), ("b", "x", -0.1, 0.2)
+    ]  # fmt: skip
+    assert (len(grasp.free), len(one.free)) == (0, 2)
+    assert [free.turns for free in two.free] == [True, False, False]
+    assert two.T_object_tool == grasp.T_object_tool
+    for X in grasp.T_object_tool:  # a slide has the direction of the axis, a turn also its moment about the origin
+        R, p = X.rotation, X.translation
+        close(two.free[1].column(X), np.concatenate([R[:, 2], np.zeros(3)]))
+        close(two.free[0].column(X), np.concatenate([np.cross(p, R[:, 0]), R[:, 0]]))
+
+
+@pytest.mark.parametrize("ends", [(0.0, 1.0), (-1.0, 0.0), (0.5, 1.0), (1.0, -1.0), (0.0, 0.0)])
+def test_the_range_of_a_free_direction_has_zero_inside(ends: tuple[float, float]) -> None:
+    said = f"Grasp.freed: b, rx: the range is {ends[0]:g} to {ends[1]:g}. Give one with 0 inside."
+    with pytest.raises(InvalidInputError, match=f"^{re.escape(said)}$"):
+        Grasp.triangle(0.2, 0.3).freed("b", "rx", range=ends)
+    for bad in ("wide", None, np.nan, np.inf):
+        with pytest.raises(InvalidInputError, match=r"Grasp\.freed: b, rx"):
+            Grasp.triangle(0.2, 0.3).freed("b", "rx", range=(-1.0, bad))  # type: ignore[arg-type]
+
+
+def test_a_grasp_that_gives_way_is_no_grasp_of_a_plain_cell(paper: Scenario) -> None:
+    """The message names the direction that was freed first."""
+    grasp = paper.grasp.freed("slave_1", "rz", range=(-1.0, 1.0)).freed("master", "x", range=(-1.0, 1.0))
+    with pytest.raises(InvalidInputError, match=r"the grasp of arm 'slave_1' gives way in rz\. .*freed_cell"):
+        grasp.check_arms(paper.cell)
+    with pytest.raises(InvalidInputError, match="cell"):
+        paper.grasp.check_arms(paper)  # type: ignore[arg-type]
 
 
 # -- increments ------------------------------------------------------------------------------------------------------

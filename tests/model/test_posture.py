@@ -8,6 +8,8 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 import pytest
+from cells import rx90l
+from torsos import lift_cell
 
 from coopqp import (
     ControlStep,
@@ -19,6 +21,7 @@ from coopqp import (
     RobotCell,
 )
 from coopqp.model import CellState
+from coopqp.model.chain import moving_columns
 from coopqp.model.posture import Posture
 from coopqp.scenarios import Scenario, dual_arm7, mixed_cell, paper_lift
 from coopqp.simulation import chain_error, limit_excess, path_error, tool_placements
@@ -123,6 +126,54 @@ def test_manipulability_rises_along_its_gradient(rng: np.random.Generator) -> No
 def test_bad_options(name: str, value: Any) -> None:
     with pytest.raises(InvalidInputError, match=f"PostureOptions: {name}"):
         PostureOptions(**{name: value})
+
+
+@pytest.mark.parametrize(
+    ("options", "asks"),
+    [
+        ({}, False),
+        ({"speed_share": 0.5}, False),
+        ({"gain": 0.0}, True),
+        ({"gain": 2.0}, True),
+        ({"centring": 0.1}, True),
+        ({"manipulability": 0.1}, True),
+        ({"manipulability": 1.0}, True),
+        ({"target": np.zeros(14)}, True),
+    ],
+)
+def test_a_goal_is_asked_for_if_it_is_not_the_default_one(options: dict[str, Any], asks: bool) -> None:
+    assert PostureOptions(**options).asks is asks
+
+
+def test_before_a_start_nothing_is_wanted_and_weights_change_at_once() -> None:
+    task = dual_arm7()
+    away = task.q_start + 1e-3
+    posture = Posture(task.cell, PostureOptions())
+    np.testing.assert_array_equal(posture.velocity(away), 0.0)
+    posture.reset(task.q_start)
+    np.testing.assert_allclose(posture.velocity(away), -1e-3, rtol=1e-9)
+    posture.take(PostureOptions(gain=0.0))
+    np.testing.assert_array_equal(posture.velocity(away), 0.0)
+    posture.take(PostureOptions(gain=1e6, speed_share=0.1))
+    assert np.abs(posture.velocity(away) / task.cell.limits.velocity).max() == pytest.approx(0.1)
+    posture.take(PostureOptions(gain=0.0, manipulability=0.01))
+    assert np.abs(posture.velocity(away)).max() > 0.0
+    posture.reset(away)
+    posture.take(PostureOptions(gain=2.0))
+    np.testing.assert_array_equal(posture.velocity(away), 0.0)
+
+
+def test_joints_that_arms_share_have_a_posture_and_the_others_of_a_group_too(rng: np.random.Generator) -> None:
+    """Beside them an arm of six joints has none."""
+    group, _ = lift_cell()
+    cell = RobotCell([rx90l(geometry=False, T_world_base=pin.SE3(np.eye(3), np.array([3.0, 0.0, 0.0]))), *group.arms])
+    q = cell.configuration(np.zeros(cell.nv))
+    v = posture_of(cell, q).velocity(cell.moved(q, np.full(cell.nv, -1e-3)))
+    alone = cell.v_slices[0]
+    np.testing.assert_array_equal(v[alone], 0.0)
+    moving = np.unique(np.concatenate(moving_columns(cell)[1:]))
+    np.testing.assert_allclose(v[moving], 1e-3, rtol=1e-9)
+    assert len(moving) == 13
 
 
 def test_a_target_that_is_no_configuration() -> None:
