@@ -11,7 +11,14 @@ from hypothesis import given, strategies as st
 
 from coopqp import Arm, InvalidInputError, RobotCell, scenarios
 from coopqp.errors import UnknownNameError
-from coopqp.model.batch import ArmKinematics, batch_kernels, singular_values
+from coopqp.model.batch import (
+    ArmKinematics,
+    BatchSolutions,
+    batch_kernels,
+    pose_matrices,
+    pose_rows,
+    singular_values,
+)
 from coopqp.scenarios import robot_path
 
 pytestmark = pytest.mark.core
@@ -71,6 +78,84 @@ def test_singular_values_do_not_depend_on_what_else_is_asked(robot: str, rng: An
         q[7] = 0.0  # singular
         alone = np.concatenate([kinematics.singular_values(x[None]) for x in q])
         np.testing.assert_array_equal(kinematics.singular_values(q), alone)
+
+
+def test_joints_are_those_of_the_model_with_their_ranges_and_speeds() -> None:
+    """Seven joints of which one has one end, and of which two have no speed; six with a continuous one; a gantry."""
+    arm = ARMS["arm7"]
+    speeds = np.array([1.0, np.inf, 2.0, 0.5, np.inf, 1.5, 4.0])
+    lower = np.where(np.arange(7) == 3, -np.inf, arm.limits.lower)
+    kinematics = ArmKinematics(arm.with_limits(lower=lower, velocity=speeds))
+    np.testing.assert_array_equal(kinematics.columns, range(7))
+    np.testing.assert_array_equal(kinematics.bounded, np.arange(7) != 3)
+    middle = np.where(kinematics.bounded, 0.5 * (arm.limits.lower + arm.limits.upper), 0.0)
+    np.testing.assert_array_equal(kinematics.middle, middle)
+    np.testing.assert_array_equal(kinematics.scale, [1.0, 1.0, 2.0, 0.5, 1.0, 1.5, 4.0])
+    assert kinematics.turns.all()
+    round_and_round = KINEMATICS["arm6c", KERNELS[0]]
+    np.testing.assert_array_equal(round_and_round.turns, [True] * 5 + [False])
+    np.testing.assert_array_equal(round_and_round.bounded, [True] * 5 + [False])
+    assert round_and_round.middle[5] == 0.0
+    gantry = KINEMATICS["gantry7", KERNELS[0]]
+    names = [joint.shortname() for joint in list(ARMS["gantry7"].model.joints)[1:]]
+    np.testing.assert_array_equal(gantry.slides, [name.startswith("JointModelP") for name in names])
+    np.testing.assert_array_equal(gantry.turns, ~gantry.slides)
+    assert 0 < gantry.slides.sum() < gantry.n
+
+
+@pytest.mark.parametrize("robot", ROBOTS)
+def test_the_nearest_turn_is_the_one_with_the_most_room(robot: str, rng: Any) -> None:
+    """Against trying five turns either way; without limits the one nearest to zero. Sliding joints stay."""
+    kinematics = KINEMATICS[robot, KERNELS[0]]
+    q = rng.uniform(-15.0, 15.0, (30, kinematics.n))
+    got = kinematics.nearest_turns(q)
+    turned = q[..., None] + 2.0 * np.pi * np.arange(-5, 6)
+    for j in range(kinematics.n):
+        if kinematics.slides[j]:
+            np.testing.assert_array_equal(got[:, j], q[:, j])
+            continue
+        middle = 0.5 * (kinematics.lower[j] + kinematics.upper[j]) if kinematics.bounded[j] else 0.0
+        away = np.abs(turned[:, j] - middle)
+        expected = np.take_along_axis(turned[:, j], away.argmin(axis=1)[:, None], axis=1)[:, 0]
+        np.testing.assert_allclose(got[:, j], expected, rtol=0, atol=1e-12)
+    np.testing.assert_array_equal(kinematics.nearest_turns(q[3]), got[3])
+
+
+def test_positions_are_the_same_up_to_whole_turns_of_every_joint() -> None:
+    """Of a gantry: what slides by 2π m, or is away in one joint of all, is somewhere else."""
+    kinematics = KINEMATICS["gantry7", KERNELS[0]]
+    q = np.linspace(-0.3, 0.4, 7)
+    turning, sliding = int(np.flatnonzero(~kinematics.slides)[0]), int(np.flatnonzero(kinematics.slides)[0])
+    cases = []
+    for j, change, same in (
+        (turning, 2.0 * np.pi, True), (turning, -6.0 * np.pi + 0.9e-3, True), (turning, np.pi, False),
+        (turning, 2.0 * np.pi - 0.9e-3, True), (turning, 1.1e-3, False), (sliding, 0.9e-3, True),
+        (sliding, 2.0 * np.pi, False), (sliding, -1.1e-3, False),
+    ):  # fmt: skip
+        other = q.copy()
+        other[j] += change
+        cases.append(other)
+        assert bool(kinematics.same(q, other, within=1e-3)) is same
+    found = kinematics.same(np.array(cases), q, within=1e-3)
+    np.testing.assert_array_equal(found, [True, True, False, True, False, True, False, False])
+
+
+@pytest.mark.parametrize("robot", ROBOTS)
+def test_seeds_are_half_inside_the_limits_and_half_at_any_angle(robot: str, rng: Any) -> None:
+    kinematics = KINEMATICS[robot, KERNELS[0]]
+    q = kinematics.seeds(2000, rng)
+    low, high = (
+        np.where(kinematics.bounded, kinematics.lower, -np.pi),
+        np.where(kinematics.bounded, kinematics.upper, np.pi),
+    )
+    assert ((q >= low) & (q <= high))[:1000].all()
+    for j in range(kinematics.n):
+        ends = (low[j], high[j]) if kinematics.slides[j] else (-np.pi, np.pi)
+        for seen, (a, b) in ((q[:1000, j], (low[j], high[j])), (q[1000:, j], ends)):
+            assert a <= seen.min() < a + 0.02 * (b - a)
+            assert b - 0.02 * (b - a) < seen.max() <= b
+            assert abs(seen.mean() - 0.5 * (a + b)) < 0.05 * (b - a)
+    assert kinematics.seeds(3, rng).shape == (3, kinematics.n)
 
 
 @pytest.mark.parametrize(("robot", "kernel"), CASES)
@@ -189,6 +274,95 @@ def test_a_walk_ends_before_a_singularity_and_where_the_reach_ends(kernel: str) 
     assert (away.q[0, away.reached[0] :] == away.q[0, -1]).all()
 
 
+@pytest.mark.parametrize("kernel", KERNELS)
+def test_walks_of_many_starts_are_those_of_each(kernel: str, rng: Any) -> None:
+    """From branches of the first pose at once, and from a start that is not at it."""
+    kinematics = KINEMATICS["rx90l", kernel]
+    q = np.array([0.3, 0.4, 1.2, 0.5, 0.8, -0.4])
+    poses = kinematics.tool_poses(q + np.linspace(0.0, 1.0, 6)[:, None] * np.array([0.5, 0.2, -0.3, 0.4, 0.2, 0.5]))
+    starts = kinematics.solve(poses[:1], kinematics.seeds(40, rng))
+    starts_q = np.vstack([starts.q[starts.reached][:6], q + 0.5])
+    together = kinematics.walk(poses, starts_q)
+    assert together.complete.any()
+    assert not together.complete[-1], "its start is not at the first pose, and its second pose is too far"
+    np.testing.assert_array_equal(together.complete, together.reached == 5)
+    np.testing.assert_array_equal(together.q[:, 0], starts_q)
+    for i, start in enumerate(starts_q):
+        alone = kinematics.walk(poses, start[None])
+        np.testing.assert_allclose(alone.q[0], together.q[i], rtol=0, atol=1e-9)
+        assert alone.reached[0] == together.reached[i]
+        np.testing.assert_array_equal(together.sigma_min[i], kinematics.singular_values(together.q[i])[:, -1])
+        for k in range(together.reached[i] + 1, 6):
+            np.testing.assert_array_equal(together.q[i, k], together.q[i, together.reached[i]])
+    single = kinematics.walk(poses[:1], starts_q)
+    assert single.complete.all()
+    assert (single.reached == 0).all()
+
+
+@pytest.mark.parametrize("kernel", KERNELS)
+def test_options_of_newtons_method_are_kept(kernel: str, rng: Any) -> None:
+    """Without steps the start comes back with its distance; a step of a joint is no longer than told."""
+    kinematics = KINEMATICS["rx90l", kernel]
+    start = kinematics.seeds(20, rng)
+    pose = kinematics.tool_poses(start[:1] + 0.5)
+    here = kinematics.solve(pose, start, steps=0)
+    np.testing.assert_array_equal(here.q, start)
+    for i, T in enumerate(kinematics.tool_poses(start)):
+        turn = pin.log3(pose[0, :3, :3] @ T[:3, :3].T)
+        away = np.abs([*(pose[0, :3, 3] - T[:3, 3]), *turn]).max()
+        assert here.residual[i] == pytest.approx(away, abs=1e-9)
+    for longest in (0.01, 0.3):
+        for steps in (1, 3):
+            moved = np.abs(kinematics.newton(pose, start, steps=steps, longest=longest)[0] - start).max(axis=1)
+            assert moved.max() <= steps * longest * (1.0 + 1e-12)
+            assert moved.max() > 0.9 * longest
+    q, residual = kinematics.newton(pose, start[:1], tolerance=1e-3, steps=40)
+    assert residual[0] <= 1e-3
+    closer = kinematics.solve(pose, start[:1])
+    assert closer.residual[0] <= 1e-9 < residual[0], "it ends where the tolerance is reached"
+    np.testing.assert_allclose(closer.q, q, rtol=0, atol=0.1)
+    assert (kinematics.solve(pose, start, tolerance=10.0).q == start).all()
+
+
+def test_an_answer_is_reached_up_to_a_nanometre() -> None:
+    residual = np.array([0.0, 1e-9, 1.01e-9, np.inf])
+    answers = BatchSolutions(np.zeros((4, 6)), residual, np.zeros(4), np.zeros((4, 6)))
+    np.testing.assert_array_equal(answers.reached, [True, True, False, False])
+
+
+def test_poses_may_be_given_as_placements_matrices_or_rows(rng: Any) -> None:
+    kinematics = KINEMATICS["rx90l", KERNELS[0]]
+    q = kinematics.seeds(4, rng)
+    T = kinematics.tool_poses(q)
+    rows = pose_rows(T)
+    np.testing.assert_array_equal(rows[:, :9].reshape(-1, 3, 3), T[:, :3, :3])
+    np.testing.assert_array_equal(rows[:, 9:], T[:, :3, 3])
+    expected = kinematics.newton(T, q + 0.05)[0]
+    for poses in (rows, [pin.SE3(M) for M in T], list(T), np.asfortranarray(T)):
+        np.testing.assert_allclose(kinematics.newton(poses, q + 0.05)[0], expected, rtol=0, atol=1e-9)
+    for pose in (rows[:1], pin.SE3(T[0]), T[0], T[:1], [T[0]]):
+        np.testing.assert_allclose(kinematics.newton(pose, q[:1] + 0.05)[0], expected[:1], rtol=0, atol=1e-9)
+        many = kinematics.newton(pose, np.repeat(q[:1] + 0.05, 3, axis=0))[0]
+        np.testing.assert_allclose(many, np.repeat(expected[:1], 3, axis=0), rtol=0, atol=1e-9)
+    assert pose_matrices(T, "here") is T
+    np.testing.assert_array_equal(pose_matrices(pin.SE3(T[0]), "here"), T[:1])
+
+
+@pytest.mark.parametrize(
+    ("at", "value"),
+    [((0, 0), 1.1), ((1, 1), 1.1), ((0, 1), 0.1), ((2, 2), -1.0), ((2, 0), 0.1), ((0, 3), np.nan), ((2, 3), np.inf),
+     ((3, 0), 0.1), ((3, 3), 2.0)],
+)  # fmt: skip
+def test_a_matrix_that_is_no_pose_is_named_by_its_index(at: tuple[int, int], value: float) -> None:
+    poses = np.repeat(np.eye(4)[None], 5, axis=0)
+    poses[3][at] = value
+    with pytest.raises(InvalidInputError, match=r"^somewhere\[3\]"):
+        pose_matrices(poses, "somewhere")
+    poses[3] = np.eye(4)
+    poses[3][0, 1], poses[3][1, 0] = 1e-10, -1e-10  # rounding
+    assert pose_matrices(poses, "somewhere") is poses
+
+
 def test_a_redundant_walk_takes_the_shortest_way_in_units_of_the_joints_speeds(rng: Any) -> None:
     kinematics = KINEMATICS["arm7", KERNELS[0]]
     q = kinematics.middle + 0.3
@@ -218,6 +392,17 @@ def test_bad_input_is_named() -> None:
         kinematics.solve(np.repeat(pose[None], 3, axis=0), np.zeros((2, 6)))
     with pytest.raises(InvalidInputError, match=r"poses\[1\]"):
         kinematics.solve([pose, 2.0 * pose], np.zeros((2, 6)))
+    for poses, starts in (
+        ([], np.zeros((2, 6))),
+        (np.zeros((0, 12)), np.zeros((2, 6))),
+        ([pose] * 2, np.zeros((1, 6))),
+    ):
+        with pytest.raises(InvalidInputError, match=rf"arm 'arm': poses: {len(poses)} poses for {len(starts)} starts"):
+            kinematics.solve(poses, starts)
+    with pytest.raises(InvalidInputError, match="arm 'arm'"):
+        kinematics.walk([], np.zeros((1, 6)))
+    with pytest.raises(InvalidInputError, match=r"shape \(M, 6\), got shape \(2, 5\).*joint_1, joint_2, .*joint_6\."):
+        kinematics.tool_poses(np.zeros((2, 5)))
     with pytest.raises(UnknownNameError, match="kernel"):
         ArmKinematics(ARMS["rx90l"], kernel="fast")  # type: ignore[arg-type]
 
