@@ -2,17 +2,19 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pinocchio as pin
 import pytest
+from cells import rx90l
 from torsos import held, lift_cell, robot_of, two_arms
 
 from coopqp import Arm, Grasp, InvalidInputError, Robot, RobotCell
 from coopqp.errors import UnknownNameError
 from coopqp.model import CellState, Chain
-from coopqp.model.chain import moving_columns
+from coopqp.model.chain import moving_columns, parts
 from coopqp.scenarios import robot_path
 from coopqp.scenarios.robots import SEVERAL_ARMS
 from coopqp.simulation.evaluation.metrics import tools_and_jacobians
@@ -199,3 +201,135 @@ def test_singular_values_of_runs_count_shared_joints() -> None:
     q = held(cell, grasp, pin.SE3(np.eye(3), np.array([0.5, 0.1, 0.9])), np.array([0.2]))
     tools, J = tools_and_jacobians(cell, q[None])
     np.testing.assert_allclose(_sigma_min(cell, J, tools)[0], CellState(cell, q).sigma_min, rtol=1e-12)
+
+
+@pytest.mark.parametrize("torso", TORSOS)
+def test_a_robots_model_keeps_what_the_description_says_of_joints_and_frames(
+    torso: tuple[tuple[str, str], ...], tmp_path: Path
+) -> None:
+    """Ends, speeds, efforts, frictions, dampings and gears of each joint; kind, place and weight of each frame."""
+    robot = robot_of(torso, tmp_path, T_world_base=BASE)
+    own = pin.Model(robot.arms[0].model)
+    numbers = np.arange(1.0, own.nv + 1.0)
+    fields = [f for f in ("friction", "damping", "rotorInertia", "rotorGearRatio", "armature") if hasattr(own, f)]
+    for i, field in enumerate(fields):
+        setattr(own, field, numbers + 0.1 * i)
+    cell = RobotCell([replace(arm, model=own) for arm in robot.arms])
+    whole = pin.buildModelFromUrdf(str(tmp_path / "both.urdf"))
+    for i, name in enumerate(cell.model.names[1:], start=1):
+        mine, theirs = cell.model.joints[i], whole.joints[whole.getJointId(name.partition("/")[2])]
+        assert mine.shortname() == theirs.shortname()
+        for field in ("lowerPositionLimit", "upperPositionLimit"):
+            np.testing.assert_array_equal(
+                getattr(cell.model, field)[mine.idx_q : mine.idx_q + mine.nq],
+                getattr(whole, field)[theirs.idx_q : theirs.idx_q + theirs.nq],
+            )
+        for field in ("velocityLimit", "effortLimit"):
+            assert getattr(cell.model, field)[mine.idx_v] == getattr(whole, field)[theirs.idx_v], field
+        if hasattr(cell.model, "lowerVelocityLimit"):  # Pinocchio 4
+            assert cell.model.lowerVelocityLimit[mine.idx_v] == -whole.velocityLimit[theirs.idx_v]
+        for field in fields:
+            assert getattr(cell.model, field)[mine.idx_v] == getattr(own, field)[theirs.idx_v], field
+    names = [frame.name for frame in list(cell.model.frames)[1:]]
+    assert len(set(names)) == len(names)
+    for frame in list(cell.model.frames)[1:]:
+        if frame.name.startswith(("torso/left", "torso/right")):
+            continue  # what one arm's model has of the other is locked there
+        same = whole.frames[whole.getFrameId(frame.name.partition("/")[2])]
+        assert frame.type == same.type
+        parent, own_parent = (m.frames[f.parentFrame].name for m, f in ((cell.model, frame), (whole, same)))
+        assert parent.rpartition("/")[2] == own_parent
+        placement = BASE * same.placement if frame.parentJoint == 0 else same.placement
+        np.testing.assert_allclose(frame.placement.homogeneous, placement.homogeneous, rtol=0, atol=1e-15)
+    assert {"torso/base", "torso/chest_0", "left/left_link_5", "right/right_link_5", "left/head"} <= set(names)
+
+
+def test_a_group_beside_another_arm_has_slices_columns_and_blocks() -> None:
+    """Each velocity coordinate is in one block, each position of an arm's own joint in its slice."""
+    alone = rx90l("alone", geometry=False, T_world_base=pin.SE3(np.eye(3), np.array([3.0, 0.0, 0.0])))
+    (group, _) = lift_cell()
+    lift = Robot(robot_path("lift2"), {"left": "left_tool", "right": "right_tool"}, name="lift", geometry=False)
+    for first_arm in (True, False):
+        cell = RobotCell([alone, lift] if first_arm else [lift, alone])
+        assert cell.blocks.keys() == {"alone", "lift", "left", "right"}
+        every = np.concatenate([np.arange(cell.nv)[s] for s in cell.blocks.values()])
+        np.testing.assert_array_equal(np.sort(every), range(cell.nv))
+        for name, block in cell.blocks.items():
+            assert all(joint.startswith(f"{name}/") for joint in cell.joint_names[block])
+        first = list(cell.blocks)
+        assert first.index("lift") < first.index("left") < first.index("right")
+        k = cell.index("alone")
+        assert cell.bases == (((0,), (1, 2)) if k == 0 else ((0, 1), (2,)))
+        assert cell.groups == (tuple(i for i in range(3) if i != k),)
+        np.testing.assert_array_equal(cell.columns[k], np.arange(cell.nv)[cell.v_slices[k]])
+        for i, arm in enumerate(cell.arms):
+            named = [cell.joint_names[j].partition("/")[2] for j in cell.columns[i]]
+            assert named == list(arm.model.names)[1:]
+            np.testing.assert_array_equal(arm.limits.velocity, cell.limits.velocity[cell.columns[i]])
+        for j in cell.shared:
+            assert cell.arm_of_joint(j) == cell.index("left")
+            assert cell.joint_names[j].startswith("lift/")
+        (part,) = [p for p in parts(cell) if len(p) > 1]
+        assert part == cell.groups[0]
+    assert list(group.blocks) == ["lift", "left", "right"]
+    assert list(RobotCell([alone]).blocks) == ["alone"]
+    assert RobotCell([alone]).bases == ((0,),)
+
+
+def test_slices_of_a_group_count_the_two_numbers_of_a_continuous_joint(tmp_path: Path) -> None:
+    cell = RobotCell([robot_of((("continuous", "0 0 1"), ("prismatic", "0 0 1")), tmp_path)])
+    assert cell.nq == cell.nv + 1
+    x = np.arange(1.0, cell.nv + 1.0) / 10.0
+    q = cell.configuration(x)
+    for q_slice, v_slice in zip(cell.q_slices, cell.v_slices, strict=True):
+        np.testing.assert_array_equal(q[q_slice], x[v_slice])
+    assert [s.stop - s.start for s in cell.v_slices] == [7, 6], "the left arm has the neck"
+    assert cell.v_slices[0].start == 2
+    assert cell.v_slices[1].stop == cell.nv
+
+
+def test_the_tightest_limits_of_shared_joints_count(tmp_path: Path) -> None:
+    left, right = robot_of(TORSOS[2], tmp_path, acceleration_limits=4.0).arms
+    j = list(left.model.names).index("torso_0") - 1
+    changed = []
+    for arm, ends, speed, acceleration in ((left, (-1.0, 2.0), 0.5, 3.0), (right, (-2.0, 1.5), 0.7, 2.0)):
+        values = {f: getattr(arm.limits, f).copy() for f in ("lower", "upper", "velocity", "acceleration")}
+        values["lower"][j], values["upper"][j] = ends
+        values["velocity"][j], values["acceleration"][j] = speed, acceleration
+        changed.append(arm.with_limits(**values))
+    cell = RobotCell(changed)
+    at = cell.joint_names.index("torso/torso_0")
+    limits = cell.limits
+    assert (limits.lower[at], limits.upper[at]) == (-1.0, 1.5)
+    assert (limits.velocity[at], limits.acceleration[at]) == (0.5, 2.0)
+
+
+@pytest.mark.parametrize("field", ["velocity_limits", "acceleration_limits", "lower_limits", "upper_limits"])
+def test_bad_limits_of_a_robot_are_named(field: str, tmp_path: Path) -> None:
+    name = field.removesuffix("s")
+    for bad, says in (
+        ({"torso_9": 1.0}, rf"no joint named 'torso_9' in robot 'torso', {name}s\."),
+        ({"torso_0": "fast"}, rf"robot 'torso': {name}s\['torso_0'\]"),
+        ({"torso_0": np.nan}, rf"{name.partition('_')[0]} has shape \(14,\) or NaN"),
+        ("fast", f"robot 'torso': {name}s: "),
+        ([1.0, 2.0], f"robot 'torso': {name}s: "),
+    ):
+        with pytest.raises((InvalidInputError, UnknownNameError), match=says):
+            robot_of(TORSOS[0], tmp_path, **{field: bad})
+
+
+def test_a_robot_has_a_name_and_arms_by_theirs(tmp_path: Path) -> None:
+    robot = robot_of(TORSOS[0], tmp_path, lower_limits=-1.0, upper_limits={"torso_0": 0.4})
+    assert repr(robot) == "Robot(torso: left, right)"
+    for arm in robot.arms:
+        assert (arm.robot, arm.tool_frame) == ("torso", f"{arm.name}_link_5")
+        np.testing.assert_array_equal(arm.limits.lower, -1.0)
+        assert arm.limits.upper[list(arm.model.names).index("torso_0") - 1] == 0.4
+        assert (arm.limits.upper == 0.4).sum() == 1
+    file = tmp_path / "both.urdf"
+    for name in ("", "a/b", None, 3):
+        with pytest.raises(InvalidInputError, match=r"Robot: name: .*Give a plain name"):
+            Robot(file, {"left": "left_link_5"}, name=name)  # type: ignore[arg-type]
+    for arms in (["left"], None, "left"):
+        with pytest.raises(InvalidInputError, match=r"robot 'robot': arms: .*tool frame of each arm"):
+            Robot(file, arms)  # type: ignore[arg-type]
