@@ -17,7 +17,8 @@ from torsos import robot_of
 from coopqp import Arm, Grasp, RobotCell
 from coopqp.control.monitoring.stress import whole_compliance
 from coopqp.model import CellState
-from coopqp.model.chain import SINGULAR_FLOOR, Chain
+from coopqp.model.chain import SINGULAR_FLOOR, Chain, is_redundant
+from coopqp.native.constants import FAR_EDGE
 from coopqp.scenarios import Scenario, robot_path
 from coopqp.spatial import adjoint, for_twists
 
@@ -518,3 +519,81 @@ def test_one_hundred_metres_from_the_origin(make_cell: Any) -> None:
     q, R, V = np.linspace(0.3, 0.9, 13), pin.SE3.Random(), np.full(6, 0.2)
     grasp = Grasp.from_configuration(near, q, R)
     close(commands(near, grasp, q, R, V), commands(far, grasp, q, G * R, V), 1e-10)
+
+
+# -- arms that follow their joints' own way ----------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("apart", [(0,), (1,), (3,), (0, 2), (1, 2, 3)])
+def test_an_arm_apart_moves_no_object_and_the_others_as_without_it(
+    apart: tuple[int, ...], make_cell: Any, random_q: RandomQ, rng: Any
+) -> None:
+    """Its view of the object is that of the first arm that is not apart; all its motion is its own."""
+    pin.seed(2)
+    robots = ["arm7", "rx90l", "gantry7", "arm5"]
+    cell = make_cell(robots, [pin.SE3.Random() for _ in robots])
+    q = next(q for q in (random_q(cell, rng) for _ in range(1000)) if CellState(cell, q).sigma_min.min() > 0.05)
+    grasp = Grasp(tuple(pin.SE3.Random() for _ in robots))
+    whole, chain = Chain(cell, grasp), Chain(cell, grasp)
+    chain.apart = apart
+    whole.linearise(q, ABOUT)
+    chain.linearise(q, ABOUT)
+    first = next(k for k in range(4) if k not in apart)
+    seen = whole.carried(q)
+    for k, O in enumerate(chain.carried(q)):
+        assert seen[first if k in apart else k] == O
+    W, v = rng.normal(size=(4, 6)), rng.normal(size=cell.nv)
+    moved, expected = chain.joint_velocities(W), whole.joint_velocities(W)
+    part, null = chain.null_part(v), whole.null_part(v)
+    twists, end, far = chain.twists(v), chain.to_reach_end(), whole.to_reach_end()
+    for k, s in enumerate(cell.v_slices):
+        if k in apart:
+            assert not chain.jacobians[k].any()
+            assert not moved[s].any()
+            assert not twists[k].any()
+            close(part[s], v[s], 0.0)
+            assert (end[s] == FAR_EDGE).all()
+        else:
+            close(moved[s], expected[s], 1e-13)
+            close(twists[k], whole.twists(v)[k], 1e-13)
+            close(part[s], null[s], 1e-13)
+            close(end[s], far[s], 1e-12)
+    assert chain.redundancy == whole.redundancy == 2, "what an arm has to spare does not depend on it"
+    basis, alone = chain.null_basis(), whole.null_basis()
+    for c, k in enumerate((0, 2)):
+        close(basis[:, c], np.zeros(cell.nv) if k in apart else alone[:, c], 1e-13)
+    assert chain.deficient == (() if 3 in apart else (3,))
+    assert chain.admissible_twists(np.eye(6))[0].shape == (6, 6 if 3 in apart else 5)
+    assert not chain.singular
+
+
+def test_tools_that_move_on_the_object_and_shift_are_both_counted(make_cell: Any, random_q: RandomQ, rng: Any) -> None:
+    """Each arm holds the object at exp(d) M X, whichever of M and d was told last."""
+    pin.seed(4)
+    cell = make_cell(["rx90l", "arm7"])
+    grasp = Grasp((pin.SE3.Random(), pin.SE3.Random()))
+    q, chain = random_q(cell, rng), Chain(cell, grasp)
+    moved, shift = [pin.SE3.Random(), pin.SE3.Random()], 0.1 * rng.normal(size=(2, 6))
+    both = [pin.exp6(d) * M * X for d, M, X in zip(shift, moved, grasp.T_object_tool, strict=True)]
+    expected = Grasp(tuple(both)).carried(CellState(cell, q))
+    other = Chain(cell, grasp)
+    chain.shift_grasp(shift)
+    chain.place(moved)
+    other.place(moved)
+    other.shift_grasp(shift)
+    for O, P, T in zip(chain.carried(q), other.carried(q), expected, strict=True):
+        close(O.homogeneous, T.homogeneous, 1e-12)
+        close(P.homogeneous, T.homogeneous, 1e-12)
+
+
+def test_units_are_the_speeds_of_arms_whose_inverse_depends_on_them(make_cell: Any) -> None:
+    cell = make_cell(["arm7", "rx90l", "arm5"])
+    velocity = np.linspace(0.5, 2.0, cell.nv)
+    velocity[2] = np.inf
+    chain = Chain(cell.with_limits(velocity=velocity), Grasp((np.eye(4),) * 3))
+    expected = np.where(np.isfinite(velocity), velocity, 1.0)
+    expected[cell.v_slices[1]] = 1.0
+    close(chain.scale, expected, 0.0)
+    assert is_redundant(cell)
+    assert not is_redundant(make_cell(["rx90l", "arm5"]))
+    assert is_redundant(make_cell(["rx90l", "gantry7"]))
