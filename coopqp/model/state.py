@@ -45,7 +45,8 @@ class CellState:
         self.cell = cell
         self.q = read_only(cell.check_configuration(q, "CellState"))
         data = workspace(cell)
-        self._J = np.array(pin.computeJointJacobians(cell.model, data, self.q))  # twists at the world's origin
+        J = pin.computeJointJacobians(cell.model, data, self.q)  # twists at the world's origin, flat for one joint
+        self._J = np.array(J).reshape(6, -1)
         self.T_world_tool = tuple(data.oMi[j] * X for j, X in zip(cell.tool_joints, cell.T_joint_tool, strict=True))
 
     def _own(self, k: int) -> Any:

@@ -30,7 +30,7 @@ from coopqp import (
 )
 from coopqp.errors import ModelError, UnknownNameError
 from coopqp.model import CellState
-from coopqp.model.cell import of_cell
+from coopqp.model.cell import of_cell, slides, standing
 from coopqp.scenarios import ROBOT_NAMES, ROBOTS, robot_path
 
 Array = NDArray[np.float64]
@@ -438,6 +438,134 @@ def test_locks_that_cannot_be() -> None:
         rx90l(locked_joints={f"joint_{i}": 0.0 for i in range(1, 7)})
 
 
+def fingers(*names: str, mimic: bool = True) -> str:
+    """A URDF of one joint and sliding fingers that follow it, or stand by themselves."""
+    follows = '<mimic joint="turn"/>' if mimic else ""
+    joints = "".join(
+        f'<link name="{n}_link"/><joint name="{n}" type="prismatic"><parent link="hand"/><child link="{n}_link"/>'
+        f'<axis xyz="0 0 1"/>{LIMIT}{follows}</joint>'
+        for n in names
+    )
+    return (
+        '<robot name="hand"><link name="base"/><link name="hand"/><joint name="turn" type="revolute">'
+        f'<parent link="base"/><child link="hand"/><axis xyz="0 0 1"/>{LIMIT}</joint>{joints}</robot>'
+    )
+
+
+def test_all_joints_that_mimic_others_are_in_the_remedy(tmp_path: Path) -> None:
+    file = tmp_path / "hand.urdf"
+    for names, says in (
+        ("a", r"'a' mimics another\. Lock it: locked_joints=\{'a': 0\.0\}"),
+        ("ab", r"'a' mimics another, and so does 1 more\. Lock them: locked_joints=\{'a': 0\.0, 'b': 0\.0\}"),
+        ("abc", r"'a' mimics another, and so do 2 more\. Lock them: locked_joints=\{'a': 0\.0, 'b': 0\.0, 'c': 0\.0\}"),
+    ):
+        file.write_text(fingers(*names))
+        with pytest.raises(ModelError, match=f"^arm 'h': joint {says}"):
+            Arm.from_urdf("h", file, tool_frame="hand")
+    with pytest.raises(ModelError, match=r"'b' mimics another, and so does 1 more\. Lock them: .*\{'b': 0\.0, 'c'"):
+        Arm.from_urdf("h", file, tool_frame="hand", locked_joints={"a": 0.1})
+    arm = Arm.from_urdf("h", file, tool_frame="hand", locked_joints={"a": 0.1, "b": 0.0, "c": -0.1})
+    assert list(arm.model.names)[1:] == ["turn"]
+
+
+@pytest.mark.parametrize(
+    ("names", "says"),
+    [
+        ("", ""),
+        ("a", "h/a moves no tool of its arm: it is locked where it stands."),
+        ("ab", "h/a, h/b move no tool of their arm: they are locked where they stand."),
+        ("abc", "h/a, h/b, h/c move no tool of their arm: they are locked where they stand."),
+        ("abcd", "h/a, h/b, h/c and 1 more move no tool of their arm: they are locked where they stand."),
+        ("abcde", "h/a, h/b, h/c and 2 more move no tool of their arm: they are locked where they stand."),
+    ],
+)
+def test_joints_that_move_no_tool_are_told(names: str, says: str, tmp_path: Path) -> None:
+    file = tmp_path / "hand.urdf"
+    file.write_text(fingers(*names, mimic=False))
+    arm = Arm.from_urdf("h", file, tool_frame="hand")
+    cell = RobotCell([arm])
+    assert cell.standing_note() == says
+    assert slides(cell) == [False] + [True] * len(names)
+    (still,) = standing(cell)
+    np.testing.assert_array_equal(still, range(1, cell.nv))
+    J = CellState(cell, np.full(cell.nv, 0.2)).jacobian("h")
+    assert not J[:, 1:].any()
+    assert J[5, 0] == 1.0
+
+
+def test_a_continuous_joint_can_be_locked_at_any_angle() -> None:
+    """Beside others: the tool is where it is with the joint there."""
+    whole = Arm.from_urdf("c", robot_path("arm6c"), tool_frame="tool", geometry=False)
+    cell = RobotCell([whole])
+    name = whole.model.names[6]
+    for angle in (-2.5, 0.7, 4.0):
+        held = Arm.from_urdf("c", robot_path("arm6c"), tool_frame="tool", geometry=False, locked_joints={name: angle})
+        x = np.array([0.1, -0.2, 0.3, 0.4, 0.5, angle])
+        T = CellState(cell, cell.configuration(x)).T_world_tool[0]
+        np.testing.assert_allclose(tool_alone(held, x[:5]).homogeneous, T.homogeneous, rtol=0, atol=1e-14)
+
+
+def test_a_joint_of_several_freedoms_cannot_be_locked() -> None:
+    model = pin.buildModelFromUrdf(str(robot_path("rx90l")), pin.JointModelPlanar())
+    with pytest.raises(ModelError, match=r"joint 'root_joint' has 3 degrees of freedom; joints with one can be locked"):
+        Arm.from_model("a", model, tool_frame="flange", locked_joints={"root_joint": 0.0})
+    for bad in ([("joint_1", 0.0)], "joint_1", 3):
+        with pytest.raises(InvalidInputError, match="arm 'arm': locked_joints"):
+            rx90l(locked_joints=bad)
+
+
+def test_models_with_names_or_axes_that_cannot_be_are_refused() -> None:
+    def of(names: tuple[str, ...], axis: tuple[float, ...] = (0.0, 0.0, 1.0)) -> pin.Model:
+        model, at = pin.Model(), 0
+        for name in names:
+            at = model.addJoint(at, pin.JointModelRevoluteUnaligned(np.array(axis)), pin.SE3.Identity(), f"_{name}")
+        model.addFrame(pin.Frame("tool", at, 0, pin.SE3.Identity(), pin.FrameType.OP_FRAME))
+        for i, name in enumerate(names, start=1):
+            model.names[i] = name
+        return model
+
+    with pytest.raises(ModelError, match=r"arm 'a': joint names are not unique: \['universe', 'x', 'x'\]"):
+        Arm.from_model("a", of(("x", "x")), tool_frame="tool")
+    with pytest.raises(ModelError, match=r"arm 'a': the joint name 'y\\x07' has control characters"):
+        Arm.from_model("a", of(("x", "y\a", "z\a")), tool_frame="tool")
+    bent = of(("x", "y"))
+    bent.jointPlacements[2] = pin.SE3(np.full((3, 3), np.nan), np.zeros(3))
+    with pytest.raises(ModelError, match=r"arm 'a': joint '[xy]' has no valid axis or origin"):
+        Arm.from_model("a", bent, tool_frame="tool")
+
+
+def test_an_unknown_frame_lists_the_twelve_nearest(tmp_path: Path) -> None:
+    file = tmp_path / "hand.urdf"
+    file.write_text(fingers(*(f"finger_{i:02}" for i in range(10)), mimic=False))
+    with pytest.raises(UnknownNameError, match=r"in arm 'h' \(.*hand\.urdf\)") as caught:
+        Arm.from_urdf("h", file, tool_frame="finger_03_lin")
+    assert len(caught.value.available) == 12
+    assert caught.value.available[0] == "finger_03_link"
+    assert "universe" not in caught.value.available
+
+
+def test_an_arm_keeps_its_model_with_another_tool_place_or_name() -> None:
+    arm = rx90l(geometry=False)
+    other = arm.with_tool(arm.model.frames[arm.model.njoints].name, name="other")
+    assert (other.name, other.model) == ("other", arm.model)
+    for bad in ("", "a/b", None, "two\nlines"):
+        with pytest.raises(InvalidInputError, match=r"Arm\.name"):
+            arm.with_tool("flange", name=bad)  # type: ignore[arg-type]
+        if bad is not None:
+            with pytest.raises(InvalidInputError, match=r"Arm\.name"):
+                arm.placed(BESIDE, name=bad)
+    with pytest.raises(UnknownNameError, match="no frame named 'hand' in arm 'other'"):
+        arm.with_tool("hand", name="other")
+    with pytest.raises(ModelError, match="arm 'other': no joint moves the tool frame 'base_link'"):
+        arm.with_tool("base_link", name="other")
+    moved = arm.placed(BESIDE)
+    assert moved.name == "arm"
+    np.testing.assert_array_equal(moved.T_world_base.homogeneous, BESIDE)
+    with pytest.raises(InvalidInputError, match="arm 'there': T_world_base"):
+        arm.placed(2.0 * np.eye(4), name="there")
+    assert repr(arm).startswith("Arm(arm: 6 joints, tool flange, ")
+
+
 def test_a_mimic_joint_is_refused_and_can_be_locked(two_joints: Callable[..., Path]) -> None:
     file = two_joints(elbow=LIMIT + '<mimic joint="shoulder" multiplier="2" offset="0.1"/>')
     with pytest.raises(ModelError, match="'elbow' mimics another") as caught:
@@ -614,6 +742,47 @@ def test_readings_at_rest_are_averaged_joint_by_joint(mixed_cell: RobotCell) -> 
         mixed_cell.average([])
     with pytest.raises(InvalidInputError, match="average"):
         mixed_cell.average([readings[0], readings[0] * np.nan])
+
+
+def test_rows_measured_at_rest_are_averaged_and_one_configuration_is_checked(mixed_cell: RobotCell) -> None:
+    x = np.full(mixed_cell.nv, 0.2)
+    rows = np.array([mixed_cell.configuration(x + d) for d in (-0.01, 0.0, 0.04)])
+    mean = mixed_cell.at_rest(rows, "here")
+    np.testing.assert_allclose(mean, mixed_cell.configuration(x + 0.01), rtol=0, atol=1e-9)
+    np.testing.assert_array_equal(mixed_cell.at_rest(rows[1], "here"), rows[1])
+    np.testing.assert_allclose(mixed_cell.at_rest(rows[:2], "here"), mixed_cell.average(rows[:2]), rtol=0, atol=0)
+    for bad in (rows[:1], rows[:0], [[0.0], [0.0, 1.0]], "rest", None):
+        with pytest.raises(InvalidInputError, match=r"^here: "):
+            mixed_cell.at_rest(bad, "here")  # type: ignore[arg-type]
+    with pytest.raises(InvalidInputError, match=r"RobotCell\.average"):
+        mixed_cell.at_rest(np.vstack([rows, rows * np.nan]), "here")
+
+
+@given(st.floats(-4.0, 4.0), st.floats(-0.9e-6, 0.9e-6))
+def test_what_was_normalised_once_keeps_its_bits(mixed_cell: RobotCell, angle: float, off: float) -> None:
+    """A command goes back in unchanged. Off the circle by less than a millionth is rounding, and is cured."""
+    x = np.zeros(mixed_cell.nv)
+    x[-1] = angle
+    q = mixed_cell.configuration(x)
+    q[-2:] *= 1.0 + off
+    once = mixed_cell.check_configuration(q, "here")
+    assert abs(np.hypot(*once[-2:]) - 1.0) < 1e-15
+    np.testing.assert_array_equal(mixed_cell.check_configuration(once, "here"), once)
+    np.testing.assert_allclose(mixed_cell.positions(once)[-1], mixed_cell.positions(q)[-1], rtol=0, atol=1e-15)
+    for wrong in (1.0 + 1.1e-6, 1.0 - 1.1e-6):
+        with pytest.raises(InvalidInputError, match=r"given by .* at entries 34, 35; their norm is"):
+            mixed_cell.check_configuration(np.concatenate([q[:-2], wrong * once[-2:]]), "here")
+
+
+def test_many_configurations_have_their_positions_at_once(mixed_cell: RobotCell, rng: np.random.Generator) -> None:
+    x = rng.uniform(-3.0, 3.0, (4, 3, mixed_cell.nv))
+    q = np.array([[mixed_cell.configuration(y) for y in rows] for rows in x])
+    np.testing.assert_allclose(mixed_cell.positions(q), x, rtol=0, atol=1e-15)
+    plain = RobotCell([rx90l(geometry=False)])
+    own = rng.normal(size=(5, 6))
+    got = plain.positions(own)
+    got[0] = 0.0
+    assert own[0].any(), "what comes back is a copy"
 
 
 def test_moved_is_the_integral_of_a_displacement(

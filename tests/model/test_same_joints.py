@@ -94,6 +94,111 @@ def test_arms_beside_each_other_are_two_robots(tmp_path: Path) -> None:
     assert cell.nv == 2 * 14
 
 
+def pair(torso: tuple[tuple[str, str], ...], folder: Path, *held: dict[str, float] | None, **options: Any) -> list[Arm]:
+    """Both arms of a torso, with joints of each locked."""
+    file = folder / "both.urdf"
+    file.write_text(two_arms(torso))
+    locks = [locked or None for locked in (*held, None, None)][:2]
+    return [
+        arm_of(side, file, locked_joints=lock, **options) for side, lock in zip(("left", "right"), locks, strict=True)
+    ]
+
+
+@pytest.mark.parametrize(
+    ("count", "says"),
+    [
+        (1, "joint 'torso_0' moves the tools of arms 'left' and 'right': .* so it is one joint of one robot"),
+        (2, "joints 'torso_0', 'torso_1' move the tools .* so they are joints of one robot"),
+        (6, "joints 'torso_0', .*'torso_5' move the tools"),
+        (7, "joints 'torso_0', .*'torso_5' and 1 more move the tools"),
+        (8, "joints 'torso_0', .*'torso_5' and 2 more move the tools"),
+    ],
+)
+def test_a_message_names_six_joints_at_most(count: int, says: str, tmp_path: Path) -> None:
+    with pytest.raises(InvalidInputError, match=says) as caught:
+        RobotCell(pair((("revolute", "0 0 1"),) * count, tmp_path))
+    assert f"Lock {'it' if count == 1 else 'them'} in both arms: locked_joints=" in caught.value.remedy
+    named = {f"torso_{i}": 0.0 for i in range(min(count, 6))}
+    assert str(named) in caught.value.remedy
+    assert "'torso_6'" not in str(caught.value)
+
+
+def test_the_remedy_locks_nearest_to_zero_inside_the_limits(tmp_path: Path) -> None:
+    for ends, at in (((0.3, 1.0), 0.3), ((-1.0, -0.2), -0.2), ((-1.0, 1.0), 0.0)):
+        file = tmp_path / "both.urdf"
+        text = two_arms(TORSOS[0]).replace('lower="-2.9" upper="2.9"', f'lower="{ends[0]}" upper="{ends[1]}"', 1)
+        file.write_text(text)
+        with pytest.raises(InvalidInputError, match=rf"locked_joints=\{{'torso_0': {at}\}}"):
+            RobotCell([arm_of("left", file), arm_of("right", file)])
+
+
+@pytest.mark.parametrize("torso", TORSOS)
+@pytest.mark.parametrize("free", [0, 1])
+def test_a_joint_that_is_locked_in_one_arm_alone_is_found_wherever_it_is_locked(
+    free: int, torso: tuple[tuple[str, str], ...], tmp_path: Path
+) -> None:
+    """Whichever of the arms has it free, and whatever comes before it is locked as in the other."""
+    last = f"torso_{len(torso) - 1}"
+    before = {f"torso_{i}": 0.3 for i in range(len(torso) - 1)}
+    sides = ("left", "right")
+    for at in (0.0, -1.3):
+        held: list[dict[str, float] | None] = [{**before, last: at}, {**before, last: at}]
+        held[free] = before or None
+        with pytest.raises(InvalidInputError) as caught:
+            RobotCell(pair(torso, tmp_path, *held))
+        assert (
+            f"joint '{last}' moves the tool of arm '{sides[free]}' and is locked in arm '{sides[1 - free]}', "
+            "at the same place in the world" in str(caught.value)
+        )
+        assert f"Lock it in both arms at one position: locked_joints={{'{last}': 0.0}}" in str(caught.value)
+
+
+def test_joints_that_differ_are_two() -> None:
+    """In name, in kind, in axis, or in place by more than a micrometre; not by less."""
+
+    def arm(name: str, joint: str, kind: Any, away: float, hold: float | None = None) -> Arm:
+        model, at = pin.Model(), 0
+        place = pin.SE3(np.eye(3), np.array([0.1 + away, 0.2, 0.3]))
+        at = model.addJoint(at, kind, place, joint)
+        at = model.addJoint(at, pin.JointModelRX(), pin.SE3(np.eye(3), np.array([0.0, 0.0, 0.5])), f"{name}_own")
+        model.addFrame(pin.Frame("tool", at, 0, pin.SE3.Identity(), pin.FrameType.OP_FRAME))
+        locked = None if hold is None else {joint: hold}
+        ends = {"lower_limits": -1.0, "upper_limits": 1.0, "velocity_limits": 1.0}
+        return Arm.from_model(name, model, tool_frame="tool", locked_joints=locked, **ends)
+
+    one = arm("a", "lift", pin.JointModelPZ(), 0.0)
+    for joint, kind, away in (
+        ("rise", pin.JointModelPZ(), 0.0), ("lift", pin.JointModelRZ(), 0.0), ("lift", pin.JointModelPY(), 0.0),
+        ("lift", pin.JointModelPZ(), 1.1e-6), ("lift", pin.JointModelPZ(), -0.5),
+    ):  # fmt: skip
+        assert RobotCell([one, arm("b", joint, kind, away)]).nv == 4
+    with pytest.raises(InvalidInputError, match="joint 'lift' moves the tools"):
+        RobotCell([one, arm("b", "lift", pin.JointModelPZ(), 0.9e-6)])
+
+
+def test_a_joint_that_moves_no_tool_of_its_arm_stays_with_the_arm_whose_tool_it_moves(tmp_path: Path) -> None:
+    """The left arm's joints in the right arm's model are locked; the neck, which moves neither tool, in the second."""
+    lift = {"torso_0": 0.25}
+    left, right = pair(TORSOS[0], tmp_path, lift, lift)
+    for arms in ([left, right], [right, left]):
+        cell = RobotCell(arms)
+        first, second = cell.arm_names
+        assert cell.nv == 13
+        assert set(cell.locked) == {
+            *(f"{first}/{second}_{i}" for i in range(6)), *(f"{second}/{first}_{i}" for i in range(6)), f"{second}/neck"
+        }  # fmt: skip
+        assert f"{first}/neck" in cell.joint_names
+        for arm in cell.arms:
+            assert len(arm.limits.velocity) == arm.model.nv
+            names = list(arm.model.names)[1:]
+            assert [name for name in names if name != "neck"] == [f"{arm.name}_{i}" for i in range(6)]
+    alone = RobotCell([left])
+    assert alone.locked == ()
+    assert alone.nv == 13
+    note = alone.standing_note()
+    assert note.startswith("left/neck, left/right_0, left/right_1 and 4 more move no tool of their arm: they are")
+
+
 CELL = """name = "torso"
 [[arms]]
 name = "left"
