@@ -9,8 +9,9 @@ import pinocchio as pin
 import pytest
 from hypothesis import given, strategies as st
 
+import coopqp.model.batch
 from coopqp import Arm, InvalidInputError, RobotCell, scenarios
-from coopqp.errors import UnknownNameError
+from coopqp.errors import ModelError, UnknownNameError
 from coopqp.model.batch import (
     ArmKinematics,
     BatchSolutions,
@@ -324,6 +325,26 @@ def test_options_of_newtons_method_are_kept(kernel: str, rng: Any) -> None:
     assert (kinematics.solve(pose, start, tolerance=10.0).q == start).all()
 
 
+@pytest.mark.parametrize("kernel", KERNELS)
+def test_kernels_write_all_of_their_results(kernel: str, rng: Any) -> None:
+    """Whatever the arrays held before."""
+    kinematics = KINEMATICS["rx90l", kernel]
+    used = kinematics.kernel
+    q = np.array([[0.3, 0.4, 1.2, 0.5, 0.8, -0.4], [1.0, 0.3, 1.0, 0.5, 0.8, -0.4]])
+    poses = np.full((2, 12), np.nan)
+    J = np.full((2, 6, 6), np.nan)
+    used.place(kinematics.numbers, q, poses, J)
+    np.testing.assert_array_equal(poses, pose_rows(kinematics.tool_poses(q)))
+    np.testing.assert_array_equal(J.transpose(0, 2, 1), kinematics.jacobians(q))
+    way = np.repeat(poses[:1], 2, axis=0)
+    way[1, 9:] += 5.0  # out of reach: none comes further than its start
+    walked, reached = np.full((2, 2, 6), np.nan), np.full(2, 7.0)
+    walked[:, 0] = q
+    used.walk(kinematics.numbers, way, walked, reached, 1e-9, 0.3, 3)
+    np.testing.assert_array_equal(reached, 0.0)
+    np.testing.assert_array_equal(walked, np.repeat(q[:, None], 2, axis=1))
+
+
 def test_an_answer_is_reached_up_to_a_nanometre() -> None:
     residual = np.array([0.0, 1e-9, 1.01e-9, np.inf])
     answers = BatchSolutions(np.zeros((4, 6)), residual, np.zeros(4), np.zeros((4, 6)))
@@ -405,6 +426,28 @@ def test_bad_input_is_named() -> None:
         kinematics.tool_poses(np.zeros((2, 5)))
     with pytest.raises(UnknownNameError, match="kernel"):
         ArmKinematics(ARMS["rx90l"], kernel="fast")  # type: ignore[arg-type]
+
+
+def test_a_missing_kernel_is_told_unless_one_was_asked_for_by_name(monkeypatch: pytest.MonkeyPatch) -> None:
+    told: list[str] = []
+    monkeypatch.setattr(coopqp.model.batch, "warn_once", lambda: told.append("told"))
+    ArmKinematics(ARMS["rx90l"], kernel="plain")
+    assert not told
+    assert ArmKinematics(ARMS["rx90l"]).kernel is KINEMATICS["rx90l", KERNELS[0]].kernel
+    assert told == ["told"]
+
+
+def test_an_arm_whose_joints_neither_turn_nor_slide_is_named() -> None:
+    model = pin.Model()
+    joint = model.addJoint(
+        0, pin.JointModelHelicalUnaligned(np.array([0.0, 0.0, 1.0]), 0.1), pin.SE3.Identity(), "screw"
+    )
+    model.addFrame(pin.Frame("tool", joint, 0, pin.SE3.Identity(), pin.FrameType.OP_FRAME))
+    arm = Arm.from_model("drill", model, tool_frame="tool", lower_limits=-1.0, upper_limits=1.0, velocity_limits=1.0)
+    with pytest.raises(
+        ModelError, match=r"^arm 'drill': joint screw neither turns about an axis nor slides along one$"
+    ):
+        ArmKinematics(arm)
 
 
 def test_starts_are_not_changed() -> None:
