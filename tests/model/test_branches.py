@@ -224,6 +224,17 @@ def test_a_redundant_arm_has_samples_of_its_solutions() -> None:
         assert (np.diff(samples.margins.min(axis=1)) <= 0.0).all()
 
 
+def test_of_very_many_solutions_those_furthest_inside_are_kept(rng: Any) -> None:
+    kinematics = ArmKinematics(Arm.from_urdf("arm", robot_path("arm7"), tool_frame="tool", geometry=False))
+    T, near = pin.SE3(kinematics.tool_poses(kinematics.middle[None] + 0.2)[0]), kinematics.seeds(600, rng)
+    every = find_branches(kinematics, T, near=near, quick=True, seed_factor=4)
+    kept = find_branches(kinematics, T, near=near, quick=True)
+    assert len(kept) == 256
+    assert len(every) > 300
+    np.testing.assert_array_equal(kept.q, every.q[:256])
+    np.testing.assert_array_equal(kept.margins, every.margins[:256])
+
+
 def test_at_a_limit_is_inside() -> None:
     """By up to a billionth of a radian, for branches and for their whole turns."""
     margins = np.array([[0.1, -0.9e-9], [-1e-9, 0.1], [0.1, -1.1e-9], [np.inf, 0.0]])

@@ -462,6 +462,9 @@ def test_all_joints_that_mimic_others_are_in_the_remedy(tmp_path: Path) -> None:
         file.write_text(fingers(*names))
         with pytest.raises(ModelError, match=f"^arm 'h': joint {says}"):
             Arm.from_urdf("h", file, tool_frame="hand")
+    for bad in (3, ["a", "b", "c"], "abc"):
+        with pytest.raises(InvalidInputError, match="arm 'h': locked_joints"):
+            Arm.from_urdf("h", file, tool_frame="hand", locked_joints=bad)  # type: ignore[arg-type]
     with pytest.raises(ModelError, match=r"'b' mimics another, and so does 1 more\. Lock them: .*\{'b': 0\.0, 'c'"):
         Arm.from_urdf("h", file, tool_frame="hand", locked_joints={"a": 0.1})
     arm = Arm.from_urdf("h", file, tool_frame="hand", locked_joints={"a": 0.1, "b": 0.0, "c": -0.1})
@@ -708,6 +711,32 @@ def test_a_link_may_have_the_name_of_its_joint(mjcf: Path) -> None:
     origin = CellState(cell, np.zeros(6)).T_world_tool[0].translation
     np.testing.assert_allclose(origin, [0.0, 0.0, 0.3], rtol=0, atol=1e-15)  # the joint's frame is at x = 0.1
     assert len({frame.name for frame in cell.model.frames}) == cell.model.nframes
+
+
+def test_the_frame_of_a_locked_joint_stays_between_its_links(mjcf: Path) -> None:
+    """Also where it has its link's name. From every frame the parents lead to the world."""
+    mine = pin.buildModelFromMJCF(str(mjcf))
+    theirs = pin.buildModelFromUrdf(str(robot_path("rx90l")))
+    for model, tool, locked in (
+        (mine, "tool", ("link1",)), (mine, "tool", ("link1", "joint2")), (theirs, "flange", ("joint_1", "joint_3")),
+        (theirs, "flange", ("joint_2",)), (theirs, "flange", ("joint_4", "joint_5")),
+    ):  # fmt: skip
+        whole = Arm.from_model("a", model, tool_frame=tool, velocity_limits=1.0).model
+        own = Arm.from_model(
+            "a", model, tool_frame=tool, velocity_limits=1.0, locked_joints=dict.fromkeys(locked, 0.1)
+        ).model
+        assert len({frame.name for frame in own.frames}) == own.nframes == whole.nframes
+
+        def parents(model: pin.Model, frame: str) -> list[str]:
+            names: list[str] = []
+            i = model.getFrameId(frame)
+            while i > 0 and len(names) < 100:
+                i = model.frames[i].parentFrame
+                names.append(model.frames[i].name.removesuffix(" (joint)").removesuffix(" (fixed_joint)"))
+            return names
+
+        assert parents(own, tool) == [name.removesuffix(" (joint)") for name in parents(whole, tool)]
+        assert own.njoints == whole.njoints - len(locked)
 
 
 def test_mjcf_with_a_free_body_is_refused(tmp_path: Path) -> None:
