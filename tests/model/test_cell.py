@@ -31,6 +31,7 @@ from coopqp import (
 from coopqp.errors import ModelError, UnknownNameError
 from coopqp.model import CellState
 from coopqp.model.cell import of_cell, slides, standing
+from coopqp.model.tool_guess import guess_tool
 from coopqp.scenarios import ROBOT_NAMES, ROBOTS, robot_path
 
 Array = NDArray[np.float64]
@@ -512,9 +513,12 @@ def test_a_joint_of_several_freedoms_cannot_be_locked() -> None:
     model = pin.buildModelFromUrdf(str(robot_path("rx90l")), pin.JointModelPlanar())
     with pytest.raises(ModelError, match=r"joint 'root_joint' has 3 degrees of freedom; joints with one can be locked"):
         Arm.from_model("a", model, tool_frame="flange", locked_joints={"root_joint": 0.0})
+    plain = pin.buildModelFromUrdf(str(robot_path("rx90l")))
     for bad in ([("joint_1", 0.0)], "joint_1", 3):
         with pytest.raises(InvalidInputError, match="arm 'arm': locked_joints"):
             rx90l(locked_joints=bad)
+        with pytest.raises(InvalidInputError, match="arm 'a': locked_joints"):
+            Arm.from_model("a", plain, tool_frame="flange", locked_joints=bad)  # type: ignore[arg-type]
 
 
 def test_models_with_names_or_axes_that_cannot_be_are_refused() -> None:
@@ -642,6 +646,40 @@ def test_a_file_that_is_no_robot(read: Callable[..., Arm], text: str, tmp_path: 
         read("left", file, tool_frame="tool")
     assert "\n" not in str(caught.value)
     assert "/src/" not in str(caught.value), "where a parser's own source lies helps nobody"
+
+
+@pytest.mark.parametrize(
+    ("read", "reader", "raised", "says"),
+    [
+        (Arm.from_urdf, "buildModelFromUrdf", ValueError, "is not a readable URDF"),
+        (Arm.from_urdf, "buildModelFromUrdf", RuntimeError, "is not a readable URDF"),
+        (Arm.from_urdf, "buildGeomFromUrdf", ValueError, "geometry .* cannot be read"),
+        (Arm.from_urdf, "buildGeomFromUrdf", RuntimeError, "geometry .* cannot be read"),
+        (Arm.from_mjcf, "buildModelFromMJCF", ValueError, "is not a readable MJCF"),
+        (Arm.from_mjcf, "buildModelFromMJCF", RuntimeError, "is not a readable MJCF"),
+        (Arm.from_mjcf, "buildModelFromMJCF", IndexError, "is not a readable MJCF"),
+        (Arm.from_mjcf, "buildGeomFromMJCF", ValueError, "is not a readable MJCF"),
+        (lambda _, file, tool_frame: guess_tool(file), "buildModelFromUrdf", ValueError, "is not a readable URDF"),
+        (lambda _, file, tool_frame: guess_tool(file), "buildModelFromUrdf", RuntimeError, "is not a readable URDF"),
+    ],
+)  # fmt: skip
+def test_what_a_parser_raises_is_said_of_the_file(
+    read: Callable[..., Any], reader: str, raised: type[Exception], says: str, mjcf: Path,
+    two_joints: Callable[..., Path], monkeypatch: pytest.MonkeyPatch,
+) -> None:  # fmt: skip
+    """Pinocchio's versions differ in what they raise. What it says of its own source is left out."""
+
+    def fails(*_: object, **__: object) -> None:
+        raise raised("file: /src/parser.hxx\nline: 3\nmessage: the second\n link is  odd.")
+
+    monkeypatch.setattr(pin, reader, fails)
+    file = mjcf if "MJCF" in reader else two_joints()
+    with pytest.raises(ModelError, match=says) as caught:
+        read("left", file, tool_frame="tip")
+    assert file.name in str(caught.value)
+    if read in (Arm.from_urdf, Arm.from_mjcf):
+        assert "arm 'left': " in str(caught.value)
+        assert "(the second link is odd)" in str(caught.value)
 
 
 @pytest.mark.parametrize("read", [Arm.from_urdf, Arm.from_mjcf])
