@@ -125,6 +125,14 @@ def test_any_tolerance_down_to_none_is_kept_to(paper: Scenario) -> None:
             Grasp.from_configuration(paper.cell, q, T, nominal=nominal, tolerance_m=metres, tolerance_rad=radians)
 
 
+def test_a_state_of_another_cell_has_no_tools_of_the_grasp(paper: Scenario, mixed_cell: RobotCell) -> None:
+    other = CellState(mixed_cell, mixed_cell.configuration(np.zeros(mixed_cell.nv)))
+    with pytest.raises(ValueError, match="zip"):
+        paper.grasp.carried(other)
+    with pytest.raises(ValueError, match="zip"):
+        Grasp(paper.grasp.T_object_tool * 3).carried(other)
+
+
 def test_tools_that_move_on_the_object_are_a_new_grasp() -> None:
     grasp = Grasp.triangle(0.2, 0.3)
     pin.seed(1)
