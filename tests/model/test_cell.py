@@ -118,6 +118,18 @@ def test_slices_names_and_sizes(mixed_cell: RobotCell) -> None:
     assert repr(cell).count("joints") == 6
 
 
+def test_speeds_of_a_model_may_be_set_after_its_joints_were_made() -> None:
+    """Pinocchio 4 keeps the lower limit of before, above the new one, and refuses to join such models."""
+    model = pin.buildModelFromUrdf(str(robot_path("rx90l")))
+    model.addFrame(pin.Frame("tool", model.addJoint(6, pin.JointModelRX(), pin.SE3.Identity(), "added"), 0,
+                             pin.SE3.Identity(), pin.FrameType.OP_FRAME))  # fmt: skip
+    model.velocityLimit = np.arange(1.0, 8.0) / 10.0
+    arm = Arm.from_model("a", model, tool_frame="tool", lower_limits=-2.0, upper_limits=2.0)
+    cell = RobotCell([arm, arm.placed(BESIDE, name="b")])
+    np.testing.assert_array_equal(cell.limits.velocity, np.tile(np.arange(1.0, 8.0) / 10.0, 2))
+    np.testing.assert_array_equal(cell.model.velocityLimit, cell.limits.velocity)
+
+
 def test_kinematics_is_base_times_arm_alone(
     mixed_cell: RobotCell, random_q: Callable[..., Array], rng: np.random.Generator
 ) -> None:

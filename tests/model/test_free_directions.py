@@ -7,6 +7,7 @@ import itertools
 import numpy as np
 import pinocchio as pin
 import pytest
+from torsos import lift_cell
 
 from coopqp import Grasp, InvalidInputError, LinePath, QPController, simulate
 from coopqp.errors import LooseObjectError, UnknownNameError
@@ -226,6 +227,12 @@ def test_bad_free_directions_are_refused_by_name() -> None:
         hinged.freed("left", "rx", range=(-1.0, 1.0))
     with pytest.raises(UnknownNameError, match="middle"):
         freed_cell(task.cell, task.grasp.freed("middle", "rx", range=(-1.0, 1.0)))
+    for places in (task.grasp.T_object_tool[:1], task.grasp.T_object_tool * 2):
+        with pytest.raises(InvalidInputError, match=f"{len(places)} placements for 2 arms"):
+            freed_cell(task.cell, Grasp(places, hinged.free))
+    cell, grasp = lift_cell()
+    with pytest.raises(InvalidInputError, match=r"^freed_cell: arms 'left' and 'right' share 'lift'.*Lock them"):
+        freed_cell(cell, grasp.freed("left", "rx", range=(-1.0, 1.0)))
     loose = hinged.freed("left", "rz", range=(-1.0, 1.0)).freed("right", "rz", range=(-1.0, 1.0))
     with pytest.raises(LooseObjectError, match="turn about"):
         freed_cell(task.cell, loose)

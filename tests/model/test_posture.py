@@ -89,6 +89,17 @@ def test_the_wish_is_bounded_by_a_share_of_every_speed(rng: np.random.Generator)
     assert np.abs(v).max() == pytest.approx(0.2)
 
 
+@pytest.mark.parametrize(("wish", "wanted"), [(0.99, 0.99), (1.01, 1.0), (1.9, 1.0), (50.0, 1.0)])
+def test_a_wish_is_shortened_only_beyond_its_share(wish: float, wanted: float) -> None:
+    """In units of the share of the joint that asks for most of its own; the direction stays."""
+    task = dual_arm7()
+    away = 1e-3 * np.linspace(-1.0, 1.0, 14)
+    most = np.abs(away / task.cell.limits.velocity).max()
+    posture = posture_of(task.cell, task.q_start, gain=wish * 0.2 / most)
+    v = posture.velocity(task.q_start - away)
+    np.testing.assert_allclose(v, wanted * 0.2 / most * away, rtol=1e-9)
+
+
 def test_centring_leads_to_the_middle_of_bounded_joints() -> None:
     task = dual_arm7()
     lower = task.cell.limits.lower.copy()
