@@ -294,6 +294,13 @@ def test_what_is_no_plate(points: tuple[Any, Any, Any], says: str) -> None:
     assert says in str(caught.value)
 
 
+def test_a_plate_that_is_not_isosceles_says_the_lengths_of_its_sides() -> None:
+    with pytest.raises(
+        InvalidInputError, match=r"\|AB\| = 5 and \|AC\| = 13 m differ: not isosceles at A\. Use a general"
+    ):
+        plate_from_points((1.0, 2.0, 3.0), (4.0, 6.0, 3.0), (1.0, 7.0, 15.0))
+
+
 def test_grasps_of_the_wrong_cell(paper: Scenario, mixed_cell: RobotCell) -> None:
     with pytest.raises(InvalidInputError, match=r"3 placements for 6 arms.*one T_object_tool per arm"):
         paper.grasp.check_arms(mixed_cell)
