@@ -232,8 +232,8 @@ def plate_from_points(A: Sequence[float], B: Sequence[float], C: Sequence[float]
             where,
             "Use a general Grasp for other triangles.",
         )
-    x = base / width
-    y = height - (x @ height) * x
+    x, y = base / width, height / depth
+    y = y - (x @ y) * x
     y /= np.linalg.norm(y)
     return pin.SE3(np.column_stack([x, y, np.cross(x, y)]), a), depth / 3.0, width / 2.0
 
