@@ -47,7 +47,8 @@ def draft_text(
         drafted: what was found.
         into: folder of the file.
     """
-    robots = printable(" and ".join(choice.robot or choice.file.stem for choice in choices))
+    *others, last = (choice.robot or choice.file.stem for choice in choices)
+    robots = printable(f"{', '.join(others)} and {last}")
     lines = [
         f"# {robots} move an object together. Written by `coopqp new`; `coopqp schema` explains every key.",
         f"# After a change: coopqp check {name}.toml. To run it: coopqp run {name}.toml --plots",
