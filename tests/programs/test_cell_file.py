@@ -11,10 +11,14 @@ import pytest
 from coopqp import load_cell_file
 from coopqp.cli.main import main
 from coopqp.files import CellFileError
+from coopqp.files.cellfile.build import CellRun
 from coopqp.files.cellfile.write import planned_program_text
+from coopqp.paths.timed import TimedPath
 from coopqp.planning import time_program
 from coopqp.programs import Program
+from coopqp.programs.roles import Follows, FollowsJoints
 from coopqp.simulation import evaluate, read_run
+from coopqp.spatial import as_placement
 
 ARM = """
 [[arms]]
@@ -317,3 +321,132 @@ def test_phases_in_the_engine_let_go_and_attach_but_open_no_part(tmp_path: Path)
     recording = load_cell_file(written(tmp_path, closed)).run()
     assert recording.finished
     assert recording.metadata["gripped"]
+
+
+# -- timed programs that are written -----------------------------------------------------------------------------------
+
+#: From rest to rest in 2 s, a piece as ``coopqp plan`` writes it.
+TIMED = """kind = "timed"
+{share}pieces = [[{piece}]]
+s_m = [0.0, 0.5, 1.0]
+squares = [0.0, 1.0, 0.0]
+binding = [{{ from_s = 0.5, to_s = 1.5, arm = "master", joint = "joint_2", limit = "acceleration" }}]
+"""
+LIFT = "0.0, 1.0, 0.0, -1.0, 0.0, 0.0, 0.0, 0.0, 1.0, 0.9, 0.0, 0.1, 0.0, 0.0, 0.0, 0.0, 0.0, 0.05, 1.0"
+OUT, BACK = (
+    f"1.0, 0.0, 0.0, 0.0, 0.0, -1.0, 0.0, 1.0, 0.0, 0.0, {y}, 0.0, 0.0, 0.0, 0.0, 0.0, {step}, 0.0, 1.0"
+    for y, step in ((0.0, 0.05), (0.05, -0.05))
+)
+STILL = "{ xyz_m = [0.0, 0.05, 0.0], rpy_deg = [90, 0, 0] }"
+
+
+def timed(piece: str, share: float | None = None) -> str:
+    return TIMED.format(piece=piece, share="" if share is None else f"planned_share = {share}\n")
+
+
+def follows(path: str, more: str = "") -> str:
+    arm = 'kind = "follows"\nframe.xyz_m = [0.3, 1.8, 0.0]'
+    return f"[phases.arms.slave_2]\n{arm}\n{more}\n[phases.arms.slave_2.path]\n{path}"
+
+
+PHASES = f"""
+[attach]
+distance_mm = 3.0
+angle_deg = 2.0
+[signals_s]
+closed = 4.0
+[[phases]]
+name = "lift"
+[phases.path]
+{timed(LIFT, 0.9)}
+[[phases]]
+name = "out"
+duration_s = 2.0
+{follows(timed(OUT, 0.8), "holds = false")}
+[[phases]]
+name = "rest"
+duration_s = 0.25
+{follows(f'kind = "hold"{chr(10)}pose = {STILL}{chr(10)}duration_s = 0.25', "holds = false")}
+[[phases]]
+name = "back"
+duration_s = 2.0
+until = "closed"
+{follows(timed(BACK, 0.95), "holds = false" + chr(10) + "holds_after = true")}
+[phases.arms.slave_1]
+kind = "waits"
+"""
+ARMS_AND_GRASP = CELL.partition("[[phases]]")[0]
+
+
+@pytest.fixture(scope="module")
+def run(tmp_path_factory: pytest.TempPathFactory) -> CellRun:
+    return load_cell_file(written(tmp_path_factory.mktemp("program"), ARMS_AND_GRASP + PHASES))
+
+
+def program_of(run: CellRun) -> Program:
+    assert isinstance(run.scenario.path, Program)
+    return run.scenario.path
+
+
+def again(run: CellRun, folder: Path) -> Program:
+    text = planned_program_text(run, program_of(run), folder=folder, into=folder)
+    read = load_cell_file(written(folder, text))
+    np.testing.assert_array_equal(read.scenario.q_start, run.scenario.q_start)
+    assert read.scenario.dt == run.scenario.dt == 0.01
+    return program_of(read)
+
+
+def test_a_program_of_timed_phases_reads_back_the_same(run: CellRun, tmp_path: Path) -> None:
+    first = program_of(run)
+    second = again(run, tmp_path)
+    assert [(p.name, p.until) for p in second.phases] == [
+        ("lift", None), ("out", None), ("rest", None), ("back", "closed"),
+    ]  # fmt: skip
+    assert (second.attach_m, second.attach_rad) == (first.attach_m, first.attach_rad) == (0.003, np.deg2rad(2.0))
+    assert dict(second.signals) == {"closed": 4.0}
+    assert [s.holding for s in second.spans] == [s.holding for s in first.spans]
+    for a, b in zip(first.phases, second.phases, strict=True):
+        assert b.seconds == a.seconds
+        assert isinstance(a.path, TimedPath) == isinstance(b.path, TimedPath)
+        if isinstance(a.path, TimedPath) and isinstance(b.path, TimedPath):
+            assert b.path.record() == a.path.record()
+        assert {k: type(v) for k, v in b.arms.items()} == {k: type(v) for k, v in a.arms.items()}
+        for x, y in zip(a.arms.values(), b.arms.values(), strict=True):
+            assert y.holds == x.holds
+            if isinstance(x, Follows) and isinstance(y, Follows):
+                assert y.holds_after == x.holds_after
+                np.testing.assert_array_equal(
+                    as_placement(y.frame, "").homogeneous, as_placement(x.frame, "").homogeneous
+                )
+                np.testing.assert_array_equal(y.on.pose(0.2).homogeneous, x.on.pose(0.2).homogeneous)
+    assert [r.holds_after for p in second.phases for r in p.arms.values() if isinstance(r, Follows)] == [
+        None, None, True,
+    ]  # fmt: skip
+
+
+def test_a_program_is_planned_with_the_least_share_of_its_motions(run: CellRun, tmp_path: Path) -> None:
+    assert program_of(run).planned_share == again(run, tmp_path).planned_share == 0.8
+    untold = PHASES.replace("planned_share = 0.95\n", "")
+    assert program_of(load_cell_file(written(tmp_path, ARMS_AND_GRASP + untold))).planned_share is None
+
+
+def test_a_way_of_joints_reads_back_with_its_speeds(run: CellRun, tmp_path: Path) -> None:
+    """In motion where it passes, at rest where no speeds are given."""
+    s = run.scenario
+    names = s.cell.arm_names
+    here = {name: s.q_start[own].tolist() for name, own in s.cell.blocks.items()}
+    there = [x + 0.05 for x in here["slave_2"]]
+    rows = f"positions_rad = [{here['slave_2']}, {there}, {here['slave_2']}]\ndurations_s = [0.5, 0.5]"
+    start = "[start.positions_rad]\n" + "\n".join(f"{name} = {here[name]}" for name in names)
+    lift = f'\n[[phases]]\nname = "lift"\n[phases.path]\n{timed(LIFT)}\n[phases.arms.slave_2]\nkind = "waits"\n'
+    for k, speeds in enumerate(("", f"\nspeeds_rad_per_s = [{[0.0] * 6}, {[0.1] * 6}, {[0.0] * 6}]")):
+        way = f'\n[[phases]]\nname = "aside"\n[phases.arms.slave_2]\nkind = "follows_joints"\n{rows}{speeds}\n'
+        given = load_cell_file(written(tmp_path, ARMS_AND_GRASP + start + way + lift))
+        folder = tmp_path / str(k)
+        folder.mkdir()
+        (a, b) = (p.phases[0].arms["slave_2"] for p in (program_of(given), again(given, folder)))
+        assert isinstance(a, FollowsJoints)
+        assert isinstance(b, FollowsJoints)
+        np.testing.assert_allclose(b.path.at(0.5), [there, [0.1 if speeds else 0.0] * 6], atol=1e-12)
+        for clock in np.linspace(0.0, 1.0, 9).tolist():
+            np.testing.assert_array_equal(b.path.at(clock), a.path.at(clock))
