@@ -75,7 +75,7 @@ def _questions(data: Any) -> Iterator[str]:
         most = max(map(abs, numbers))
         if "_deg" in key or "_deg." in place:
             part = next((x for x in numbers for p in _PARTS if abs(abs(x) - p) < _NEAR * p), None)
-            turns = "positions_deg" in place and len(numbers) > 2 and 0.0 < most <= 2.0 * math.pi
+            turns = "positions_deg" in place and most <= 2.0 * math.pi
             if part is not None or (turns and sum(x != round(x) for x in numbers) > 2):
                 yield f"{place} is {shown}: are these radians? Then the key is {place.replace('_deg', '_rad')}."
         elif _is_long(place, key, numbers):

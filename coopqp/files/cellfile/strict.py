@@ -108,7 +108,7 @@ def _meaning(text: str, item: dataclasses.Field[Any]) -> str:
     """The meaning of an option in a file, where false stands for None, with its default."""
     text = text.replace("None", "false")
     default = item.default
-    if default is None or default is dataclasses.MISSING:
+    if default is None or default is dataclasses.MISSING or default == "":
         return text
     return f"{text} (default {shown_default(default)})".strip()
 
