@@ -504,6 +504,7 @@ def _cell(load: Callable[[str], CellRun]) -> RobotCell:
 
 # -- mistakes ------------------------------------------------------------------------------------------------------
 
+LEADER = 'name = "master"'
 ROBOT, BASE, QP = 'robot = "rx90l"', "xyz_m = [3.60, 0.50, 0.0]", 'kind = "qp" #'
 
 
@@ -583,6 +584,58 @@ ROBOT, BASE, QP = 'robot = "rx90l"', "xyz_m = [3.60, 0.50, 0.0]", 'kind = "qp" #
         (BASE, "xyz_m = [3.60, 0.50, 1e308]", "arms[1].base.xyz_m[2]: must be less than or equal to 10000"),
         ("[0.90, 0.0, 0.10]", "[0.90, -1e308, 0.10]", "path.start.xyz_m[1]: must be greater than or equal to -10000"),
         (QP, f"grasp_gain = 1e300\n{QP}", "controller.grasp_gain: must be less than or equal to 1000000000000"),
+        ("positions_deg.slave_", "#", "start.positions_deg: arm 'slave_1' is missing"),
+        (
+            LEADER,
+            f"{LEADER}\nsensor.bias_force_n = [1, 2]",
+            "arms[0].sensor.bias_force_n: give at least 3 entries, not 2",
+        ),
+        (LEADER, f"{LEADER}\nsensor.bias_force_n = [1, 2, 3, 4]", "bias_force_n: give at most 3 entries, not 4"),
+        (LEADER, f"{LEADER}\nsensor.axes = [[1, 0, 0], [0, 1, 0]]", "arms[0].sensor.axes: give at least 3 entries"),
+        (
+            LEADER,
+            f"{LEADER}\nsensor.axes = [[1, 0, 0], [0, 1, 0], [0, 0, 1.5]]",
+            "axes[2][2]: must be less than or equal",
+        ),
+        (LEADER, f"{LEADER}\nsensor.axes = [[1, 0, 0], [0, 1, 0], [0, 0, -1.5]]", "axes[2][2]: must be greater than"),
+        (
+            LEADER,
+            f"{LEADER}\nsensor.delay_s = -1",
+            "arms[0].sensor.delay_s: must be greater than or equal to 0, not -1",
+        ),
+        (LEADER, f'{LEADER}\nsensor.reads = "me"', "'me'"),
+        (
+            "[grasp]",
+            "[disturbances]\nwrench_noise_n = 1\n[grasp]",
+            "disturbances: only the plant physics simulates them",
+        ),
+        ("steps = 400", "dt_s = 2.9999e-6", "a run of up to 30 s in steps of 2.9999e-06 s is too long"),
+        (
+            "steps = 400",
+            "dt_s = 0.1\nlongest_s = 1e5\nsettle_s = 1e5\n[signals_s]\na = 1e6\n",
+            "signals_s.a: must be less than or equal to 100000",
+        ),
+        (
+            "duration_s = 3.0",
+            "duration_s = { a = [1, 2], b = { c = { d = { e = { f = 1 } } } } }",
+            "path.duration_s: give a number, not {a = [1, 2], b = {c = {d = {e = …}}}}.",
+        ),
+        ("duration_s = 3.0", "duration_s = 12:30:00", "path.duration_s: give a number, not 12:30:00"),
+        ("[output]", '[output]\nfolder = "../up"', "output.folder: give a folder below the working directory"),
+        ("[output]", '[output]\nfolder = "/up"', "output.folder: give a folder below the working directory"),
+        (
+            "[output]",
+            f"[output]\nfolder = {list(range(70))}",
+            f"output.folder: give text, not {str(list(range(70)))[:40]}",
+        ),
+        ("translation_m = [", "translation_mm = [", "path.displacement: unknown key 'translation_mm'; did you mean"),
+        (QP, f'preview = {{ cells = "x" }}\n{QP}', "controller.preview: unknown key 'cells'; did you mean 'cell'?"),
+        (QP, f"supervision = {{ slow_from = true }}\n{QP}", "supervision.slow_from: give a number or false, not true"),
+        (QP, f'common_error = {{ kind = "leaderless", leader = "master" }}\n{QP}', "'leaderless' takes nothing else"),
+        (QP, f'common_error = {{ kind = "per_axis", weights = [[1, 1]] }}\n{QP}', "give at least 6 entries, not 2"),
+        ('kind = "triangle"', 'kind = "latched" #', "grasp: unknown key 'alpha_m'"),
+        ('"master"', '""', "arms[0].name: give text of at least 1 character, not ''"),
+        ('"master"', f'"{"m" * 101}"', "arms[0].name: give text of at most 100 characters, not 'mmm"),
     ],
 )
 def test_a_mistake_is_named_with_its_place(

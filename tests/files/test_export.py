@@ -85,6 +85,36 @@ def test_the_table_has_every_digit(run: Recording, paper: Scenario, tmp_path: Pa
     assert {table[name][-1] for name in ("rate", "status", "binding", "master/joint_1.velocity_rad_per_s")} == {""}
 
 
+def test_the_table_has_what_an_operator_called(run: Recording) -> None:
+    calls = [[3, "pause", None, 0.2], [7, "reverse", 0.1, 0.2], [7, "jog", [[0.1], "world"], 0.2]]
+    called = csv_text(replace(run, metadata={**run.metadata, "calls": calls}))
+    table = columns(called)
+    assert {i: text for i, text in enumerate(table["call"]) if text} == {
+        3: "pause",
+        7: 'reverse 0.1; jog [[0.1], "world"]',
+    }
+    assert {len(row) for row in csv.reader(called.splitlines())} == {len(table)}
+    del table["call"]
+    assert table == columns(csv_text(run))
+
+
+def test_the_table_has_the_pose_of_the_path_as_quaternions(run: Recording) -> None:
+    table = columns(csv_text(run))
+    x, y, z, w = (numbers(table[f"path.q{axis}"]) for axis in "xyzw")
+    turned = np.stack([1.0 - 2.0 * (y * y + z * z), 2.0 * (x * y + z * w), 2.0 * (x * z - y * w)], axis=1)
+    np.testing.assert_allclose(turned, run.reference[:, :3, 0], atol=1e-12)
+    np.testing.assert_array_equal(numbers(table["path.x_m"]), run.reference[:, 0, 3])
+    np.testing.assert_array_equal(numbers(table["rate"][:-1]), run.rate)
+
+
+def test_knot_velocities_of_a_part_are_those_of_the_whole(run: Recording) -> None:
+    whole = knot_velocities(run)
+    np.testing.assert_array_equal(whole[[0, -1]], 0.0)
+    np.testing.assert_allclose(whole[1:-1], 0.5 * (run.velocity[1:] + run.velocity[:-1]), atol=1e-15)
+    for part in (slice(0, 1), slice(0, 7), slice(5, 12), slice(30, 41), slice(40, 41), slice(3, None)):
+        np.testing.assert_array_equal(knot_velocities(run, part), whole[part])
+
+
 def test_units_follow_the_joints(mixed_run: tuple[RobotCell, Recording]) -> None:
     cell, recording = mixed_run
     table = columns(csv_text(recording))
@@ -243,7 +273,7 @@ def test_the_table_has_the_torques_that_are_fed_forward(paper: Scenario, run: Re
     assert [float(row["load_share"]) for row in rows] == use.share.tolist()
     plain, more = (text.splitlines()[0] for text in (csv_text(run), csv_text(run, load=use)))
     assert more.startswith(plain + ",")
-    with pytest.raises(InvalidInputError, match="load_use"):
+    with pytest.raises(InvalidInputError, match=r"torques of shape \(5, 18\) for 41 samples of 18 joints.*load_use"):
         csv_text(run, load=load_use(load, run.time[:5], run.q_command[:5]))
 
 

@@ -74,6 +74,9 @@ def _single(problem: Any) -> str:
         return (
             f"give {'at least' if kind == 'too_short' else 'at most'} {bound} entries, not {context['actual_length']}"
         )
+    if kind in ("string_too_short", "string_too_long"):
+        wanted = str(problem["msg"]).removeprefix("String should have ")
+        return f"give text of {wanted}, not {_shown(problem['input'])}"
     text = str(problem["msg"]).removeprefix("Input should be ").removeprefix("a valid ")
     return f"must be {text[:1].lower()}{text[1:]}, not {_shown(problem['input'])}"
 
