@@ -584,7 +584,6 @@ ROBOT, BASE, QP = 'robot = "rx90l"', "xyz_m = [3.60, 0.50, 0.0]", 'kind = "qp" #
         (BASE, "xyz_m = [3.60, 0.50, 1e308]", "arms[1].base.xyz_m[2]: must be less than or equal to 10000"),
         ("[0.90, 0.0, 0.10]", "[0.90, -1e308, 0.10]", "path.start.xyz_m[1]: must be greater than or equal to -10000"),
         (QP, f"grasp_gain = 1e300\n{QP}", "controller.grasp_gain: must be less than or equal to 1000000000000"),
-        ("positions_deg.slave_", "#", "start.positions_deg: arm 'slave_1' is missing"),
         (
             LEADER,
             f"{LEADER}\nsensor.bias_force_n = [1, 2]",
