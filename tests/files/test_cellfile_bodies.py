@@ -13,6 +13,7 @@ from coopqp import load_cell_file
 from coopqp.collision.scene import DEFAULT_MARGIN, CollisionScene
 from coopqp.files import CellFileError
 from coopqp.model.shapes import Box, Capsule, Cylinder, Mesh, Sphere
+from coopqp.spatial import as_placement
 
 BAR = (CELL_FILES / "bar.toml").read_text(encoding="utf-8").partition("[collision]")[0].partition("[[collision")[0]
 
@@ -107,8 +108,8 @@ def test_the_scene_has_the_bodies_and_pairs_of_the_file(scene: Callable[[str], C
     assert block.shape.size == (0.1, 0.2, 0.3)
     assert isinstance(lump.shape, Mesh)
     assert (Path(lump.shape.file), lump.shape.scale) == (tmp_path / "lump.stl", (2.0, 2.0, 2.0))
-    np.testing.assert_array_equal(ball.placement.translation, [0.0, 3.0, 1.0])
-    np.testing.assert_array_equal(rod.placement.rotation, [[1, 0, 0], [0, 0, -1], [0, 1, 0]])
+    np.testing.assert_array_equal(as_placement(ball.placement, "").translation, [0.0, 3.0, 1.0])
+    np.testing.assert_array_equal(as_placement(rod.placement, "").rotation, [[1, 0, 0], [0, 0, -1], [0, 1, 0]])
     (pill,) = made.carried
     assert (pill.name, pill.shape) == ("pill", Capsule(0.01, 0.1))
     assert {link: [body.name for body in bodies] for link, bodies in made.on_links.items()} == {

@@ -65,5 +65,5 @@ def test_a_run_of_too_many_steps_is_refused(dt: float, settle: int, fits: bool, 
     if fits:
         assert load_cell_file(file).scenario.dt == dt
         return
-    with pytest.raises(CellFileError, match="a run of up to 30 s .* is too long; raise dt_s or lower longest_s"):
+    with pytest.raises(CellFileError, match=r"a run of up to 30 s .* is too long; raise dt_s or lower longest_s"):
         load_cell_file(file)
