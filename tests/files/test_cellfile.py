@@ -639,7 +639,7 @@ ROBOT, BASE, QP = 'robot = "rx90l"', "xyz_m = [3.60, 0.50, 0.0]", 'kind = "qp" #
         ),
         ("steps = 400", "settle_s = -1", "settle_s: must be greater than or equal to 0, not -1"),
         ("steps = 400", "patience_s = 0", "patience_s: must be greater than or equal to 0.000001, not 0"),
-        ("[output]", "[output]\nreport = 1", "output.report: give true or false, not 1"),
+        ("[output]", "[output]\nplots = 1", "output.plots: give true or false, not 1"),
         (QP, f"solver_settings = {{ eps_abs = [1] }}\n{QP}", "controller.solver_settings.eps_abs: give"),
         ('kind = "triangle"', 'kind = "latched" #', "grasp: unknown key 'alpha_m'"),
         ('"master"', '""', "arms[0].name: give text of at least 1 character, not ''"),
