@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from coopqp.errors import InvalidInputError
+from coopqp.errors import CoopqpError, InvalidInputError
 from coopqp.forces.frictional_contacts import palm_use
 from coopqp.forces.grips import Grip
 from coopqp.forces.internal import internal_wrenches
@@ -61,7 +61,7 @@ class RunLoads:
         use = self.torque_use
         i, j = _largest(use)
         text = f"at most {100.0 * use[i, j]:.1f} % of a torque ({cell.joint_names[j]})"
-        over = np.flatnonzero(use.max(axis=1) > 1.0)
+        over = np.flatnonzero(use[:, j] > 1.0)
         return text, f"{cell.joint_names[j]}: torque, since {self.time[over[0]]:.3f} s" if over.size else ""
 
     def held(self, cell: RobotCell) -> tuple[str, str]:
@@ -118,8 +118,10 @@ def read_loads(cell: RobotCell, recording: Recording) -> RunLoads | None:
         cap = entry.get("internal_force")
         largest = np.inf if cap is None else float(cap)
         palms = None if entry.get("palms") is None else [Grip(**one) for one in entry["palms"]]
+        if len(limits) != cell.nv or (palms is not None and [p.kind for p in palms] != ["palm"] * len(cell)):
+            raise ValueError("not one limit for each joint, or one palm for each arm")
         use = np.abs(torques) / limits
-    except (TypeError, ValueError, OverflowError, AttributeError) as error:
+    except (CoopqpError, TypeError, ValueError, OverflowError, AttributeError) as error:
         raise RecordingError(f"'load' in the recording's metadata is damaged ({error}).") from error
     internal = internal_wrenches(wrenches, recording.grasp)
     moving = np.flatnonzero(recording.rate > 0.0)
