@@ -131,6 +131,16 @@ def test_each_fault_of_the_last_step_is_found_with_its_amount(
         assert found.time == pytest.approx(6 * DT)
 
 
+@pytest.mark.parametrize("dt", [0.0, -DT])
+def test_a_step_without_a_length_is_found(pair: Cell, dt: float) -> None:
+    cell, q = pair
+    steps = steps_of(cell, q, np.zeros((2, cell.nv)))
+    still = steps[1].replaced(dt=dt, clock_next=steps[1].clock, rate=0.0)
+    (found,) = [v for v in violations(judge(cell, q, [steps[0], still])) if v.kind is K.RATE]
+    assert (found.step, found.amount, found.detail) == (1, 1.0, "dt > 0")
+    assert found.time == pytest.approx(DT + dt)
+
+
 def test_limits_of_a_joint_are_judged_with_their_amounts(pair: Cell) -> None:
     cell, q = pair
     fast = np.zeros((4, cell.nv))
@@ -244,8 +254,11 @@ def test_violations_are_counted_beyond_those_that_are_kept_and_forgotten_at_a_re
     assert monitor.verdict().counts[K.MUTATED] == 1
     monitor.reset()
     assert (monitor.verdict().steps, monitor.verdict().counts) == (0, {})
-    (found,) = (monitor.report(K.MUTATED, detail="again"), monitor.verdict().violations)[1]
-    assert (found.step, found.time) == (0, 0.0)
+    for step in steps_of(cell, q, np.zeros((3, cell.nv))):
+        monitor.report(K.MUTATED, detail=f"at {monitor.verdict().steps}")
+        monitor.observe(step)
+    told = [(v.detail, v.step, round(v.time, 9)) for v in monitor.verdict().violations]
+    assert told == [("at 0", 0, 0.0), ("at 1", 0, DT), ("at 2", 1, 2 * DT)]
 
 
 # -- arms and the object -----------------------------------------------------------------------------------------------
