@@ -25,6 +25,7 @@ from coopqp.simulation import (
     relative_positioning_error,
     tool_placements,
 )
+from coopqp.simulation.evaluation import metrics
 
 Array = NDArray[np.float64]
 
@@ -246,3 +247,24 @@ def test_tools_of_another_cell(paper: Scenario) -> None:
         object_error(two, paper.grasp, pin.SE3.Identity())
     with pytest.raises(InvalidInputError, match="2 tools"):
         path_error(two, paper.grasp, paper.path, 0.0)
+
+
+@pytest.mark.parametrize("largest", [1, 60, 200_000])
+def test_gaps_of_many_samples_are_those_of_each_in_any_parts(
+    mixed_cell: RobotCell, rng: Any, monkeypatch: pytest.MonkeyPatch, largest: int
+) -> None:
+    """First those between two arms, then those of each arm and the path; with grasps that have given way."""
+    run = any_run(mixed_cell, rng, 7)
+    shift = 0.1 * rng.normal(size=(7, len(mixed_cell), 6))
+    monkeypatch.setattr(metrics, "_LARGEST_TABLE", largest)
+    distance, angle = metrics.object_gaps(mixed_cell, run.grasp, run.q, run.reference, shift)
+    tools = tool_placements(mixed_cell, run.q)
+    n = len(mixed_cell)
+    for t in range(7):
+        X = run.grasp.T_object_tool
+        poses = [T * X[k].inverse() * pin.exp6(-shift[t, k]) for k, T in enumerate(tools[t])]
+        pairs = [(poses[i], poses[j]) for i in range(n) for j in range(i + 1, n)]
+        pairs += [(pose, pin.SE3(run.reference[t])) for pose in poses]
+        apart = [a.actInv(b) for a, b in pairs]
+        np.testing.assert_allclose(distance[t], [np.linalg.norm(T.translation) for T in apart], atol=1e-12)
+        np.testing.assert_allclose(angle[t], [np.linalg.norm(pin.log3(T.rotation)) for T in apart], atol=1e-7)

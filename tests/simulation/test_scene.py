@@ -255,6 +255,8 @@ ARM = ("scene", "arms", 0)
         (_damage((*ARM, "base"), "here"), "damaged"),
         (_damage((*ARM, "base"), [[float("nan")] * 4] * 4), "damaged"),
         (_damage((*ARM, "joints"), []), "0 joints"),
+        (_damage((*ARM, "joints"), [{}] * 257), "257 joints; 1 to 256 are read"),
+        (_damage(("scene", "arms"), [{}] * 257), "257 arms; 1 to 256 are read"),
         (_damage((*ARM, "joints", 0, "type"), "JointModelFreeFlyer"), "is a JointModelFreeFlyer"),
         (_damage((*ARM, "joints", 0, "type"), "__class__"), "is a __class__"),
         (_damage((*ARM, "joints", 0, "type"), "JointModelRevoluteUnaligned"), "damaged"),
@@ -313,8 +315,38 @@ def test_a_path_that_is_not_known_ahead_is_left_out() -> None:
     assert describe_path(HoldPath(pin.SE3.Identity())) is not None
 
 
+POSE = [0.1, -0.2, 0.3, 0.0, 0.6, 0.0, 0.8]
+
+
+def test_a_path_may_have_one_pose_and_ten_thousand() -> None:
+    rounded = [0.1, -0.2, 0.3, 0.0, 0.6, 0.0, 0.8 + 1e-7]
+    for rows in ([POSE], [rounded], [POSE] * 10_000):
+        poses = read_path({"path": rows})
+        assert poses is not None
+        assert len(poses) == len(rows)
+        np.testing.assert_allclose(poses[-1].translation, POSE[:3])
+        np.testing.assert_allclose(pin.Quaternion(poses[-1].rotation).coeffs(), POSE[3:], atol=1e-6)
+
+
 @pytest.mark.parametrize(
-    "rows", ["here", [[1, 2]], [], [[0, 0, 0, 0, 0, 0, 0]], [[float("nan")] * 7], [[0] * 6 + ["x"]]]
+    "rows",
+    [
+        "here",
+        [[1, 2]],
+        [],
+        POSE,
+        [[POSE]],
+        [POSE[:6]],
+        [[0, 0, 0, 0, 0, 0, 0]],
+        [POSE, [*POSE[:6], 0.9]],
+        [[*POSE[:6], 0.8 + 1e-5], POSE],
+        [POSE, [float("nan")] * 7],
+        [POSE, [float("inf"), *POSE[1:]]],
+        [[10**400, *POSE[1:]]],
+        [[0] * 6 + ["x"]],
+        [POSE] * 10_001,
+    ],
+    ids=range(14),
 )
 def test_a_damaged_path_is_refused_by_name(rows: Any) -> None:
     with pytest.raises(SceneError, match="path is damaged"):

@@ -367,6 +367,9 @@ def test_a_joint_outside_is_told_with_its_amount_and_since_when(paper: Scenario)
     q[3, 13] = lower[13] + np.deg2rad(1.5)
     inside = finding(paper, at_rest(paper, q_command=q), POSITIONS)
     assert inside.answer == "closest: slave_2/joint_2, 1.5° inside"
+    q[4:6, 13] = np.nan
+    lost = finding(paper, at_rest(paper, q_command=q), POSITIONS)
+    assert (lost.answer, lost.cause) == ("not finite", "not finite since 0.400 s")
     free = replace(paper, cell=paper.cell.with_limits(lower=-np.inf, upper=np.inf))
     assert finding(free, at_rest(free), POSITIONS).answer == "no joint has a limit"
 
@@ -407,3 +410,25 @@ def test_tolerances_come_from_the_recording_and_name_who_is_off(paper: Scenario)
         bad = at_rest(paper, metadata={"settings": {"verdict": damaged}})
         with pytest.raises(RecordingError, match="'verdict' in the recording's settings is damaged"):
             findings(paper, bad)
+
+
+AGREED, ON_PATH = "Do the arms agree on where the object is?", "Is the object on its path?"
+
+
+def test_the_arms_that_part_most_are_named_since_they_do(paper: Scenario) -> None:
+    """A turn of the last arm's flange by 4 mrad, and a smaller one of another, move their views of the object."""
+    q = at_rest(paper).q_command.copy()
+    assert finding(paper, at_rest(paper), AGREED).answer.endswith("(asked: 0.1 mm, 0.1°)")
+    q[9:12, 17] += 4e-3
+    q[9:12, 11] -= 1e-3
+    found = finding(paper, at_rest(paper, q_command=q), AGREED)
+    assert found.cause == "arms slave_1 and slave_2, beyond the tolerance since 0.900 s"
+    measured = at_rest(paper, q=q)
+    assert finding(paper, measured, AGREED).holds
+    off = finding(paper, measured, ON_PATH)
+    assert off.cause == "the object at arm slave_2, beyond the tolerance since 0.900 s"
+    given = {"object_mm": 5.0, "object_deg": 1.0}
+    wide = evaluate(paper.cell, measured, read_run(paper.cell, measured), tolerances=given)
+    (asked,) = [f for f in wide if f.question == ON_PATH]
+    assert asked.holds
+    assert asked.answer.endswith("(asked: 5 mm, 1°)")

@@ -268,8 +268,9 @@ def _positions(cell: RobotCell, recording: Recording) -> Finding:
     j = int(outside.argmax())
     margin, name, at = -float(outside[j]), cell.joint_names[j], _at(recording, max(int(since[j]), 0))
     if not np.isfinite(margin):
-        bad = bool(since[j] >= 0)
-        return Finding(question, not bad, "no joint has a limit", f"not finite since {at}" if bad else "")
+        if since[j] >= 0:
+            return Finding(question, False, "not finite", f"not finite since {at}")
+        return Finding(question, True, "no joint has a limit")
     unit = _amount(cell, j, abs(margin))
     if margin < -POSITION_ROUNDING:
         return Finding(question, False, f"{name} is {unit} outside", f"{_joint(cell, j)}: position, since {at}")
