@@ -85,6 +85,108 @@ def test_a_script_is_read_line_by_line(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
+    ("line", "steps", "call", "value"),
+    [
+        ("0 pause", [0], "pause", None),
+        ("0.996 resume # at once", [199], "resume", None),
+        ("1 reverse", [200], "reverse", 0.0),
+        ("1 reverse 0.25", [200], "reverse", 0.25),
+        ("1 run_to 2.5", [200], "run_to", 2.5),
+        ("1 signal part in place", [200], "signal", "part in place"),
+        (
+            "1 shift_path 0.1 -0.2 0.3",
+            [200],
+            "shift_path",
+            [[[1.0, 0.0, 0.0, 0.1], [0.0, 1.0, 0.0, -0.2], [0.0, 0.0, 1.0, 0.3], [0.0, 0.0, 0.0, 1.0]], 0.1],
+        ),
+        ("1 jog 1 2 3 4 5 6", [200], "jog", [[1.0, 2.0, 3.0, 4.0, 5.0, 6.0], "object", 0.1]),
+        ("1 jog 1 2 3 4 5 6 for 0.11", [200, 210, 220], "jog", [[1.0, 2.0, 3.0, 4.0, 5.0, 6.0], "object", 0.1]),
+        ("1 jog 1 2 3 4 5 6 world for 0.05", [200], "jog", [[1.0, 2.0, 3.0, 4.0, 5.0, 6.0], "world", 0.1]),
+    ],
+)
+def test_each_call_of_a_script_comes_with_its_numbers(
+    line: str, steps: list[int], call: str, value: Any, tmp_path: Path
+) -> None:
+    """At steps of 5 ms; a jog is repeated every 50 ms for as long as it lasts."""
+    file = tmp_path / "script"
+    file.write_text(f"\n{line}\n", encoding="utf-8")
+    events = read_script(file, 0.005)
+    assert [event.step for event in events] == steps
+    assert {event.call for event in events} == {call}
+    assert all(event.value == value for event in events)
+    assert all(event.place == f"{file}, line 2" for event in events)
+    slow = read_script(file, 0.2)
+    assert [event.step for event in slow] == [round(steps[0] / 40)], "a period longer than 50 ms"
+
+
+class Called:
+    """Keeps the calls that it gets."""
+
+    override, paused = 0.5, True
+
+    def __init__(self) -> None:
+        self.calls: list[tuple[Any, ...]] = []
+
+    def __getattr__(self, name: str) -> Any:
+        return lambda *values, **more: self.calls.append((name, *values, more))
+
+
+@pytest.mark.parametrize(
+    ("call", "value", "expected"),
+    [
+        ("pause", None, ("pause", {})),
+        ("set_override", 0.5, ("set_override", 0.5, {})),
+        ("signal", "go", ("signal", "go", {})),
+        ("gear", [1.5, 0.4], ("gear", 1.5, {"speed": 0.4})),
+        ("jog", [[0.1] * 6, "world", 0.3], ("jog", [0.1] * 6, {"frame": "world", "deadman_s": 0.3})),
+        ("jog", [[0.1] * 6, "tool", 0.0], ("jog", [0.1] * 6, {"frame": "tool", "deadman_s": 1e-9})),
+    ],
+)
+def test_a_call_is_made_with_the_values_that_it_was_recorded_with(call: str, value: Any, expected: Any) -> None:
+    made = Called()
+    Event(0, call, value).make(made)
+    assert made.calls == [expected]
+
+
+def test_poses_are_handed_on_as_matrices() -> None:
+    made, T = Called(), pin.exp6(np.array([0.1, -0.2, 0.3, 0.4, 0.5, -0.6])).homogeneous
+    Event(0, "retarget", T.tolist()).make(made)
+    Event(0, "shift_path", [T.tolist(), 0.25]).make(made)
+    (retarget, goal, _), (shift, by, more) = made.calls
+    assert (retarget, shift, more) == ("retarget", "shift_path", {"over": 0.25})
+    np.testing.assert_array_equal(goal, T)
+    np.testing.assert_array_equal(by, T)
+
+
+def test_calls_are_made_in_turn_ahead_of_their_steps() -> None:
+    """Those that are late are made as soon as there is a step, in their order, and once."""
+    made = Called()
+    operate = operating([Event(4, "resume"), Event(2, "pause"), Event(2, "forward"), Event(7, "release")])
+    at = []
+    for done in (0, 1, 2, 3, 6, 7, 8):
+        before = len(made.calls)
+        operate(made, done)
+        at += [(done, name) for name, _ in made.calls[before:]]
+    assert at == [(2, "pause"), (2, "forward"), (6, "resume"), (7, "release")]
+    operating([], {"override": 0.5, "paused": True})(made, 0)
+    for begun in ({"override": 0.5, "paused": False}, {"override": 1.0, "paused": True}):
+        with pytest.raises(InvalidInputError, match=r"began with an override of (0\.5|1), paused: (True|False)"):
+            operating([], begun)(made, 0)
+
+
+@pytest.mark.parametrize(
+    "line", ["1 pause 2", "1 run_to", "1 set_override", "1 set_override 1 2", "1 signal", "1 shift_path 1 2",
+             "1 jog 0 0 0 0 0 0 for -1", "1 jog 0 0 0 0 0 0 for 1e4", "1 jog 0 0 0 0 0 0 for", "1e9 pause",
+             "1 jog 0 0 0 0 0 0 0 world"]
+)  # fmt: skip
+def test_a_call_with_other_numbers_is_named(line: str, tmp_path: Path) -> None:
+    file = tmp_path / "script"
+    file.write_text(f"# two\n\n{line}\n", encoding="utf-8")
+    with pytest.raises(InvalidInputError, match=r"line 3: "):
+        read_script(file, 0.005)
+
+
+@pytest.mark.parametrize(
     "line", ["soon pause", "1.0", "1.0 dance", "1 reverse a", "-1 pause", "1 jog 1 2 3", "1 jog 0 0 0 0 0 0 for x"]
 )
 def test_a_line_that_is_no_call_is_named(line: str, tmp_path: Path) -> None:

@@ -289,15 +289,25 @@ def test_arms_that_part_and_an_object_off_its_path_are_named(pair: Cell) -> None
     assert parted[-1].amount == pytest.approx(4e-4 - math.radians(0.01), rel=1e-5)
 
 
-class Sliding(HoldPath):
+class Sliding(ObjectPath):
     """The object rests while the tool of the second arm slides on it."""
 
+    duration = 10.0
+
     def __init__(self, pose: pin.SE3, slide: pin.SE3) -> None:
-        super().__init__(pose, duration=10.0)
+        self._pose = pose
         same = pin.SE3.Identity()
         way = LinePath(same, slide, duration=0.02)
         pieces = pieces_of(way, start=0.0, before=same, frame=same, where="")
         self.grasps = GraspMotion(((), pieces), ((0.0, (True, True)),))
+
+    def pose(self, clock: float) -> pin.SE3:
+        """Where the object rests."""
+        return self._pose
+
+    def twist(self, clock: float) -> Array:
+        """Zero."""
+        return np.zeros(6)
 
 
 def test_a_tool_that_is_to_move_on_the_object_is_judged_where_it_is_then(pair: Cell) -> None:
@@ -348,7 +358,8 @@ def test_steps_of_a_recording_that_are_no_numbers_are_found_and_the_others_judge
     run = recorded(cell, q, rate=rate)
     values = np.array(getattr(run, name))
     values.reshape(len(values), -1)[row, -1] = np.nan
-    verdict = check_run(replace(run, **{name: values}), cell)
+    changes: dict[str, Any] = {name: values}
+    verdict = check_run(replace(run, **changes), cell)
     assert {v.step for v in verdict.violations if v.kind is K.NOT_FINITE} == lost
     assert {v.kind for v in verdict.violations} == {K.NOT_FINITE, K.RATE, K.CLOCK}
     assert {v.step for v in verdict.violations if v.kind is not K.NOT_FINITE} == {8}

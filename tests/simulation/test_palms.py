@@ -19,7 +19,7 @@ from coopqp.spatial import Array
 
 mujoco = pytest.importorskip("mujoco")
 
-AT_ONCE = {"settle": 0.0, "hand_over": 0.0}
+AT_ONCE: dict[str, Any] = {"settle": 0.0, "hand_over": 0.0}
 
 
 @pytest.fixture(scope="module")
