@@ -131,10 +131,10 @@ static double reachable(const Core *c, int j, double h) {
 }
 
 /* Add a row whose numbers are in place, if an admissible velocity could break it. */
-static void add_row(Core *c, double lower, double upper, int number) {
+static void add_row(Core *c, double lower, double upper, int number, double soft = GIVES_WAY) {
     const int r = c->further_rows;
     c->further_lower[r] = lower, c->further_upper[r] = upper;
-    c->further_soft[r] = GIVES_WAY, c->further_owner[r] = -1.0 - number;
+    c->further_soft[r] = soft, c->further_owner[r] = -1.0 - number;
     c->further_rows++;
 }
 
@@ -219,5 +219,5 @@ static void brake_together(Core *c) {
         reach += fabs(G[j]) * reachable(c, j, h);
     }
     const double upper = fmax(sqrt(most_bent / used), 1.0 - h / T) * size;
-    if (reach > upper) add_row(c, -INFINITY, upper, c->arms + c->joints + worst);
+    if (reach > upper) add_row(c, -INFINITY, upper, c->arms + c->joints + worst, gives_way(c) ? BEND_GIVES_WAY : GIVES_WAY);
 }

@@ -11,7 +11,7 @@ import numpy as np
 import pinocchio as pin
 import pytest
 from marks import slow_but_first
-from promise_cases.braking import ACCELERATIONS, blind, line
+from promise_cases.braking import ACCELERATIONS, beside_cart, blind, line
 from user_paths import Opaque
 
 from coopqp import LimitKind, LinePath, PreviewOptions, QPController, QPOptions, Status
@@ -176,3 +176,12 @@ def test_where_the_path_is_known_ahead_there_are_no_rows(kernel: str, monkeypatc
         for limit in step.binding:
             assert limit.kind is not LimitKind.SINGULARITY
     assert step.clock_next > 0.0
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("number", [67, 146])
+def test_arms_that_could_stay_clear_of_a_cart_are_not_slowed_by_their_bend_until_it_touches(number: int) -> None:
+    """Without any rows they stay 20 mm away, and together."""
+    run = beside_cart(number, 15.0)
+    assert run.least > 0.01
+    assert run.chain < 1e-5

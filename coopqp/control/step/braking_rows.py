@@ -31,6 +31,7 @@ from coopqp.model.state import CellState
 from coopqp.native.constants import (
     APPROACH_STEPS,
     APPROACH_TIME,
+    BEND_GIVES_WAY,
     BEND_OFF_PATH,
     BEND_SHARE,
     EDGE_SHARE,
@@ -92,7 +93,10 @@ class BrakingRows:
             np.maximum(speed, np.minimum(limits.velocity, speed + limits.acceleration * h)), FASTEST_JOINT
         )
         some = np.abs(G) @ reach > np.minimum(upper, -lower)  # no admissible velocity breaks the others
-        return Rows(G[some], lower[some], upper[some], np.full(int(some.sum()), GIVES_WAY), owner[some])
+        soft = np.full(len(G), GIVES_WAY)
+        if gives_way:
+            soft[-1] = BEND_GIVES_WAY
+        return Rows(G[some], lower[some], upper[some], soft[some], owner[some])
 
     def _singular_edges(self, q: Array, about: Array) -> tuple[Array, Array]:
         """Distances of the chain's parts to singularity (P,), and their gradients (P, nv)."""
