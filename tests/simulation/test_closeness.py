@@ -265,3 +265,13 @@ def test_overlaps_at_the_start_are_left_out_of_an_unguarded_run(cell: RobotCell,
     assert with_clearance(run, None, avoided=False) is run
     nobody = scene_with(cell, q[0], posts, ignored=[("ball", name) for name in posts])
     assert "clearance" not in with_clearance(run, nobody, avoided=False).metadata
+
+
+def test_a_scene_in_which_no_two_bodies_keep_a_distance_has_nothing_to_tell(
+    cell: RobotCell, curve: Callable[[int], Array]
+) -> None:
+    q = curve(5)
+    judge = Closeness(scene_with(cell, q[0], {"near": ball_at(cell, q[2])}, ignored=[("ball", "near")]))
+    judge.start(q[0])
+    assert judge.watch(q, tolerance=1e-6) == []
+    assert judge.closest(q, np.arange(5.0)) is None

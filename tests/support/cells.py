@@ -82,3 +82,13 @@ def one_arm_file(folder: Path, path: str, *, start: str = "", grasp: str = "tool
     tools = "tools.a = {}" if grasp == "tools" else ""
     file.write_text(_ONE_ARM.format(start=start, grasp=grasp, tools=tools, path=path), encoding="utf-8")
     return str(file)
+
+
+def cart(name: str = "cart", **limits: Any) -> Arm:
+    """A rail along x and a turntable about z on it, which has no ends; the tool is at the turntable's middle."""
+    model = pin.Model()
+    rail = model.addJoint(0, pin.JointModelPX(), pin.SE3.Identity(), "rail")
+    turntable = model.addJoint(rail, pin.JointModelRUBZ(), pin.SE3.Identity(), "table")
+    model.addFrame(pin.Frame("tool", turntable, 0, pin.SE3.Identity(), pin.FrameType.OP_FRAME))
+    given = {"lower_limits": [-5.0, -np.inf], "upper_limits": [5.0, np.inf], "velocity_limits": [2.0, 3.0], **limits}
+    return Arm.from_model(name, model, tool_frame="tool", **given)

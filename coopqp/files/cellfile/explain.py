@@ -14,8 +14,14 @@ from coopqp.errors import printable, shortened, shown
 
 #: Largest number of problems in one message.
 MAX_PROBLEMS = 5
-#: Unions of the schema. Pydantic adds their tag to a place; the tag is not a key of the file.
-_UNIONS = ("grasp", "path", "controller", "plant")
+#: Where unions of the schema stand, the outer ones first; ``*`` is any key. Pydantic adds their tag to a place; the tag
+#: is not a key of the file.
+_UNIONS = tuple(
+    tuple(place.split("."))
+    for place in (
+        "grasp", "path", "controller", "plant", "drivers.*", "phases.*.path", "phases.*.arms.*", "phases.*.arms.*.path",
+    )
+)  # fmt: skip
 _KINDS = {
     "float_type": "a number",
     "int_type": "a whole number",
@@ -94,8 +100,9 @@ def _expects_false(problem: Any) -> bool:
 def _place(location: Sequence[int | str]) -> str:
     """Convert pydantic's location to ``arms[0].base.xyz_m``, without the names of types."""
     parts = list(location)
-    if len(parts) > 1 and parts[0] in _UNIONS:
-        del parts[1]
+    for union in _UNIONS:
+        if len(parts) > len(union) and all(key in ("*", part) for key, part in zip(union, parts, strict=False)):
+            del parts[len(union)]
     place = ""
     for part in parts:
         if isinstance(part, int):

@@ -185,7 +185,7 @@ class Closeness:
             number of the step, the pair with its least distance in the step, the missing distance [m].
         """
         placed, found = self._place(q), []
-        ends = np.array(self._ends)
+        ends = np.array(self._ends, dtype=int).reshape(-1, 2)
         for t in range(1, len(q)):
             step = _BENT * (placed.way[t] - placed.way[t - 1])
             way = step[ends[:, 0]] + step[ends[:, 1]]
