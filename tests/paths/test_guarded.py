@@ -181,8 +181,10 @@ def test_a_step_over_a_jump_is_trouble(at: float, by: float, says: str) -> None:
 
 def test_the_distance_of_the_object_from_its_path_is_told_on() -> None:
     path, held = GuardedPath(Opaque(LINE)), pin.SE3(np.eye(3), np.array([0.25, 0.0, 0.1]))
-    assert path.trouble(0.5, H, held, np.inf) == ("", pytest.approx(0.1))
-    assert path.trouble(0.5, H, held, 0.05) == ("", pytest.approx(0.1))
+    for before in (np.inf, 0.05):
+        told, away = path.trouble(0.5, H, held, before)
+        assert told == ""
+        assert away == pytest.approx(0.1)
     assert GuardedPath(LINE).trouble(0.5, H, held, 7.0) == ("", 7.0)  # the library's own are not asked
     for clock in (0.5, 0.495):  # here, and at the end of the step
         told, away = GuardedPath(Wrong("pose", None, at=0.5)).trouble(clock, H, held, 7.0)
