@@ -154,7 +154,7 @@ class TimedPath(ObjectPath):
         i = np.clip(np.searchsorted(p.s, s, side="right") - 1, 0, len(p.s) - 2)
         away = np.clip(s - p.s[i], 0.0, None)
         speeds = np.sqrt(np.maximum(p.squares[i] + 2.0 * p.slopes[i] * away, 0.0)) + np.sqrt(p.squares[i])
-        return np.where(away > 0.0, p.clocks[i] + 2.0 * away / np.where(speeds > 0.0, speeds, 1.0), p.clocks[i])
+        return np.asarray(p.clocks[i] + 2.0 * away / np.where(speeds > 0.0, speeds, 1.0))
 
     def at(self, clock: float) -> tuple[float, float, float]:
         """s [m], ṡ [m/s] and s̈ [m/s²] at ``clock`` [s]; s̈ is 0 before and after."""

@@ -40,7 +40,7 @@ def test_in_the_engine_joints_follow_their_commands_with_their_whole_torque_and_
     settings = EngineSettings()
     assert dict(settings.disturbances) == dict(settings.options) == dict(settings.controller) == {}
     assert dict(settings.tolerances) == {}
-    assert settings.forces is settings.palms is settings.internal_force is None
+    assert (settings.forces, settings.palms, settings.internal_force) == (None, None, None)
     assert settings.shares_load is False
     assert settings.torque_share == 1.0
 

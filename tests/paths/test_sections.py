@@ -135,3 +135,13 @@ def test_sections_and_shifts_of_nothing_are_refused() -> None:
             Section(path, begin, end)
     with pytest.raises(InvalidInputError, match="before it begins"):
         ShiftedPath(path, pin.SE3.Identity(), begin=1.0, end=0.5)
+
+
+@given(plans, shares)
+def test_a_plan_is_at_its_grid_points_and_between_them_at_their_clocks(path: TimedPath, x: float) -> None:
+    np.testing.assert_allclose(path.clocks(path.profile.s), path.profile.clocks, atol=1e-6 * path.duration)
+    clock = x * path.duration
+    s = path.at(clock)[0]
+    (found,) = path.clocks(np.array([s]))
+    assert abs(path.at(float(found))[0] - s) <= 1e-12
+    assert abs(found - clock) <= 1e-5 * path.duration  # near its ends the object hardly moves
