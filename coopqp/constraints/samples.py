@@ -17,6 +17,8 @@ from coopqp.spatial import Array, as_placement
 _DISTANCE, _ANGLE = 0.02, 0.05
 #: Least pieces of a segment, and how often a piece is halved.
 _PIECES, _HALVINGS = 8, 7
+#: Breakpoints that are all among the samples; of further ones those that are this share of the duration apart.
+_MARKS = 10_000
 
 
 @dataclass(frozen=True, eq=False)
@@ -24,7 +26,7 @@ class PathSamples:
     """A path at K clocks.
 
     Attributes:
-        clocks: the clocks (K,) [s]; breakpoints and both ends are among them.
+        clocks: the clocks (K,) [s]; the first 10 000 breakpoints and both ends are among them.
         poses: T_world_object at each.
         motion: how the tools move on the object; None where they rest on it.
     """
@@ -51,8 +53,9 @@ def sample_path(path: ObjectPath, grasp: Grasp) -> PathSamples:
         return PathSamples(np.zeros(1), (as_placement(path.pose(0.0), "the path's pose at 0 s"),))
     motion = path.grasps if path.grasps is not None and path.grasps.moves else None
     marks = [0.0]
-    while marks[-1] < path.duration and len(marks) < 10_000:
-        marks.append(min(max(path.next_breakpoint(marks[-1]), marks[-1] + 1e-9), path.duration))
+    while marks[-1] < path.duration:
+        least = 1e-9 if len(marks) < _MARKS else path.duration / _MARKS
+        marks.append(min(max(path.next_breakpoint(marks[-1]), marks[-1] + least), path.duration))
     if motion is not None:
         ends = {end for pieces in motion.arms for piece in pieces for end in (piece.start, piece.end)}
         marks = sorted({*marks, *(end for end in ends if 0.0 < end < path.duration)})

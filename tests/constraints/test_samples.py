@@ -142,3 +142,17 @@ def test_tool_poses_are_the_object_with_the_tool_on_it() -> None:
     samples, X = sample_path(line(place(0.3, 0.1, 1.0)), grasp(0.0)), place(0.2, 0.1, 0.3)
     expected: list[Array] = [(T * X).homogeneous for T in samples.poses]
     np.testing.assert_allclose(samples.tool_poses(X), expected, atol=1e-15)
+
+
+class EverywhereMarked(HoldPath):
+    """A path with a breakpoint each 20 µs."""
+
+    def next_breakpoint(self, clock: float) -> float:
+        return clock + 2e-5
+
+
+@pytest.mark.slow
+def test_a_path_with_more_breakpoints_than_are_kept_is_sampled_to_its_end() -> None:
+    clocks = sample_path(EverywhereMarked(HERE, duration=1.0), grasp(0.0)).clocks
+    assert clocks[-1] == 1.0
+    assert np.diff(clocks).max() < 2e-5
