@@ -3,23 +3,26 @@
 from __future__ import annotations
 
 import warnings
-from dataclasses import replace
+from dataclasses import FrozenInstanceError, fields, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pinocchio as pin
 import pytest
+from pydantic import ValidationError
 
-from coopqp import LinePath, WaypointPath, load_cell_file
+from coopqp import LinePath, QPController, WaypointPath, load_cell_file
 from coopqp.control.options import QPOptions
 from coopqp.drivers.sim import SimDriver
 from coopqp.drivers.ur import UrDriver
 from coopqp.errors import StartWarning, UndecidedError, UnknownNameError, UnreachableError
 from coopqp.files import CellFileError
 from coopqp.files.cellfile import example_path, load_cell_task
-from coopqp.files.cellfile.build import CellTask, load_search
+from coopqp.files.cellfile.build import CellRun, CellTask, load_search
+from coopqp.files.cellfile.searched import SearchTask
 from coopqp.files.cellfile.write import file_text
+from coopqp.model import CellState
 from coopqp.model.shapes import Box, Capsule, Cylinder, Mesh, Sphere
 from coopqp.paths.elbows import Elbows
 from coopqp.paths.timed import SpeedProfile, TimedPath
@@ -39,6 +42,7 @@ ONE: dict[str, Any] = {
     "start": {"positions_deg": {"a": NEAR}},
     "path": {"kind": "hold", "pose": {}, "duration_s": 1.0},
 }
+BALL: dict[str, Any] = {"name": "ball", "shape": "sphere", "radius_m": 0.1, "at": {"xyz_m": [0.0, 0.0, 5.0]}}
 TWO: dict[str, Any] = ONE | {
     "arms": [ARM, ARM | {"name": "b", "base": {"xyz_m": [0.0, 3.0, 0.0]}}],
     "start": {"positions_deg": {"a": NEAR, "b": NEAR}},
@@ -96,6 +100,27 @@ def test_a_grasp_gives_way_in_the_unit_that_is_given(tmp_path: Path) -> None:
     np.testing.assert_allclose(x[own], 0.0)
     np.testing.assert_allclose(x[:6], np.deg2rad(NEAR))
     np.testing.assert_array_equal(task.exact_start(), task.q_start)  # a latched grasp fits the start
+
+
+def test_a_latched_grasp_is_where_the_tools_are_when_the_path_begins(tmp_path: Path) -> None:
+    """Of a line, of a search and of phases."""
+    line: dict[str, Any] = {"kind": "line", "start": START, "duration_s": 1.0}
+    line["displacement"] = {"translation_m": [0.0, 0.0, 0.1], "rotation_vector_deg": [0.0, 20.0, 0.0]}
+    rest = [{"name": "rest", "duration_s": 1.0}, {"name": "line", "path": line}]
+    plain = {key: value for key, value in ONE.items() if key != "path"}
+    held = load_cell_task(written(tmp_path, ONE))
+    assert held.q_start is not None
+    tool = CellState(held.cell, held.q_start).T_world_tool[0]
+    start = pin.SE3(pin.utils.rotate("z", np.pi / 2), np.array([0.5, 0.0, 0.5]))
+    for task in (
+        load_cell_task(written(tmp_path, ONE | {"path": line})),
+        load_cell_task(written(tmp_path, plain | {"phases": rest})),
+        load_search(written(tmp_path, ONE | {"path": SEARCH | {"start": START}, "collision": {"obstacles": [BALL]}}))[
+            1
+        ],
+    ):
+        found = task.grasp.T_object_tool[0]
+        np.testing.assert_allclose(found.homogeneous, start.actInv(tool).homogeneous, atol=1e-12)
 
 
 def test_the_first_arm_that_is_missing_is_named(tmp_path: Path) -> None:
@@ -200,6 +225,60 @@ def test_the_object_of_a_file_is_that_of_the_run(tmp_path: Path) -> None:
     assert plain.scenario.obstacles == ()
 
 
+def test_a_run_is_as_long_as_the_file_says(tmp_path: Path) -> None:
+    """The path, and what it settles; at most the longest; where the object is blocked, until patience ends."""
+    short = ONE | {"dt_s": 0.01, "path": {"kind": "hold", "pose": {}, "duration_s": 0.05}}
+    run = load_cell_file(written(tmp_path, short | {"settle_s": 0.03}))
+    told: list[tuple[int, int]] = []
+    steps: list[int] = []
+    recording = run.run(progress=lambda step, of: told.append((step, of)), operate=lambda _, step: steps.append(step))
+    assert recording.finished
+    assert recording.time[-1] == pytest.approx(0.08)
+    assert steps == list(range(recording.n_steps))
+    assert told
+    assert recording.metadata["scenario"] == "one"
+    bounded = load_cell_file(written(tmp_path, short | {"longest_s": 0.03})).run()
+    assert not bounded.finished
+    assert bounded.time[-1] == pytest.approx(0.03)
+    slowed = run.run(begun={"override": 0.5, "paused": False})
+    assert slowed.time[-1] > 0.1
+    narrow = {"lower_deg": [x - 0.5 for x in NEAR], "upper_deg": [x + 0.5 for x in NEAR]}
+    line = {"kind": "line", "start": {}, "displacement": {"translation_m": [0.0, 0.1, 0.0]}, "duration_s": 1.0}
+    blocked = ONE | {"dt_s": 0.01, "arms": [ARM | {"limits": narrow}], "path": line}
+    ends = [
+        load_cell_file(written(tmp_path, blocked | {"patience_s": patience})).run().time[-1] for patience in (0.1, 0.3)
+    ]
+    assert ends[1] - ends[0] == pytest.approx(0.2, abs=0.011)
+    assert ends[1] < 5.0  # without patience it goes on for ten times the path
+
+
+def test_a_controller_that_refuses_the_path_is_told_when_the_file_is_read(tmp_path: Path) -> None:
+    with pytest.raises(CellFileError, match=r"cell\.toml: .*increment needs a path"):
+        load_cell_file(written(tmp_path, ONE | {"controller": {"kind": "pseudo_inverse"}}))
+
+
+def test_a_run_of_the_code_is_only_judged_unless_it_says_otherwise(tmp_path: Path) -> None:
+    run = load_cell_file(written(tmp_path, ONE))
+    plain = CellRun(run.scenario, "qp", QPOptions(), 0.0, None, run.settings)
+    assert (plain.avoids, plain.disturbances, plain.stiffness, plain.scene, plain.file) == (False, *[None] * 4)
+
+
+def test_bodies_that_are_avoided_are_rows_of_the_controller(tmp_path: Path) -> None:
+    wall = BALL | {"at": {"xyz_m": [0.0, 0.0, 8.0]}}
+    found = [
+        load_cell_file(written(tmp_path, ONE | {"collision": {"obstacles": [wall], "avoid": avoid}})).run()
+        for avoid in (True, False)
+    ]
+    assert [recording.metadata["clearance"]["avoided"] for recording in found] == [True, False]
+    avoiding, judging = (
+        load_cell_file(written(tmp_path, ONE | {"collision": {"obstacles": [wall], "avoid": avoid}})).controller()
+        for avoid in (True, False)
+    )
+    assert isinstance(avoiding, QPController)
+    assert isinstance(judging, QPController)
+    assert len(avoiding.constraints) == len(judging.constraints) + 1
+
+
 # -- bodies ------------------------------------------------------------------------------------------------------------
 
 
@@ -253,9 +332,6 @@ def test_bodies_of_a_file_are_those_of_the_code(tmp_path: Path) -> None:
     assert scene.srdf == {"a": tmp_path / "a.srdf"}
     assert (scene.rules.apart, scene.rules.object_apart) == (2, 4)
     assert scene.decompose == ()
-
-
-BALL = {"name": "ball", "shape": "sphere", "radius_m": 0.1, "at": {"xyz_m": [0.0, 0.0, 5.0]}}
 
 
 @pytest.mark.parametrize(
@@ -367,6 +443,22 @@ def test_a_way_takes_the_time_that_its_speed_needs(tmp_path: Path) -> None:
             search.path(Route(verdict=verdict, reason="too high"))
 
 
+def test_what_a_file_makes_is_one_thing_and_stays_as_it_is(tmp_path: Path) -> None:
+    """A copy is another key; nothing can be set."""
+    run, task = load_cell_file(written(tmp_path, ONE)), load_cell_task(written(tmp_path, ONE))
+    _, search = load_search(written(tmp_path, SEARCHED))
+    for made, name in ((run, "settle"), (task, "name"), (search, "speed")):
+        assert len({made, replace(made), made}) == 2
+        with pytest.raises(FrozenInstanceError):
+            setattr(made, name, getattr(made, name))
+    with pytest.raises(ValidationError, match="frozen"):
+        run.settings.name = "other"
+    parts: list[Any] = [getattr(search, entry.name) for entry in fields(search)]
+    make: Any = SearchTask
+    with pytest.raises(TypeError):
+        make(*parts)  # each has a name
+
+
 # -- controllers and plants --------------------------------------------------------------------------------------------
 
 
@@ -463,8 +555,17 @@ def test_each_arm_has_the_driver_of_its_table(tmp_path: Path) -> None:
     assert first.joint_names == tuple(f"joint_{k}" for k in range(1, 7))
     simulated = run.drivers("sim")  # a table of another kind says nothing of it
     assert {name: driver.lag for name, driver in simulated.items()} == {"a": 0.01, "b": 0.02}
+    assert all(isinstance(driver, SimDriver) for driver in simulated.values())
     with pytest.raises(UnknownNameError, match=r"no driver named 'ur' in drive\. Available: sim, engine"):
         run.drivers("ur")
+
+
+def test_robots_in_the_engine_stand_for_all_drivers(tmp_path: Path) -> None:
+    pytest.importorskip("mujoco")
+    run = load_cell_file(written(tmp_path, TWO | {"drivers": {"a": UR}}))
+    robots = run.drivers("engine")
+    assert list(robots) == ["a", "b"]
+    assert all(robot.period == run.scenario.dt for robot in robots.values())
 
 
 def test_wrong_drivers_are_named(tmp_path: Path) -> None:

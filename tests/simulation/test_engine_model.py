@@ -64,10 +64,31 @@ def test_joints_have_their_own_kinds_axes_drives_and_servos() -> None:
         kp, kd = options["stiffness"][j], options["damping"][j]
         assert actuator.gainprm[0] == kp
         np.testing.assert_allclose(actuator.biasprm[:3], [0.0, -kp, -kd])
+    assert (model.body_mass[1:] >= 1e-6).all(), "the engine needs masses"
+    assert (model.body_inertia[1:] >= 1e-9).all()
     motors = plant_of(options={"servo": "computed torque"}).mj_model
     for name in CELL.joint_names:
         assert motors.actuator(name).gainprm[0] == 1.0
         np.testing.assert_allclose(motors.actuator(name).biasprm[:3], 0.0)
+
+
+def test_the_stiffness_that_is_told_is_that_of_the_drives(paper: Any) -> None:
+    """Of servos kp; of torques ω² times the inertia at each joint, the drives' own included, all joints at zero."""
+    given = {"object_size": paper.object_size, "object_mass": 1.0}
+    servo = PhysicsPlant(paper.cell, paper.grasp, options={"stiffness": 3e4}, **given)
+    np.testing.assert_array_equal(servo.stiffness, np.full(paper.cell.nv, 3e4))
+    options = {"servo": "computed torque", "loop_bandwidth": 20.0, "armature": 0.7}
+    torque = PhysicsPlant(paper.cell, paper.grasp, options=options, **given)
+    model = paper.cell.model
+    inertia = np.diag(pin.crba(model, model.createData(), pin.neutral(model))) + 0.7
+    np.testing.assert_allclose(torque.stiffness, 400.0 * inertia)
+    assert (servo.servoed, torque.servoed) == (True, False)
+
+
+@pytest.mark.parametrize("size", [(0.0, 1.0, 1.0), (1.0, 1.0, -0.1)])
+def test_a_box_has_three_lengths(size: Any) -> None:
+    with pytest.raises(InvalidInputError, match="PhysicsPlant: object_size"):
+        PhysicsPlant(CELL, GRASP, object_size=size, object_mass=1.0)
 
 
 def test_the_engine_s_own_settings_are_those_of_the_options() -> None:
@@ -192,6 +213,33 @@ def test_a_reset_settles_and_hands_over_for_as_long_as_told(settle: float, hand_
         plant.reset(CELL.configuration(np.zeros(4)))
         assert plant.mj_data.time == pytest.approx(settle + 2.0 * hand_over)
         assert plant.time == 0.0
+
+
+def test_after_a_reset_the_servos_aim_at_what_was_measured() -> None:
+    """Grips that do not fit pull the carts; a controller then starts where they are, and nothing jumps."""
+    off = Grasp((GRASP.T_object_tool[0], at(0.01, 0.5, 0.0)))
+    for hand_over in (0.05, 0.0):
+        plant = plant_of(real_grasp=off, options={"settle": 0.1, "hand_over": hand_over, "stiffness": 1e5})
+        start = CELL.configuration(np.zeros(4))
+        measured = plant.reset(start)
+        pulled = CELL.positions(measured)
+        assert np.abs(pulled).max() > 1e-3
+        aim = [plant.mj_data.ctrl[plant.mj_model.actuator(name).id] for name in CELL.joint_names]
+        np.testing.assert_allclose(aim, pulled if hand_over else np.zeros(4), atol=1e-12)
+
+
+def test_an_arm_that_does_not_hold_at_first_feeds_nothing_forward(lift: Any) -> None:
+    """Beside its own weight; the others bear all of the object."""
+    holds = (True, False, True)
+    plant = PhysicsPlant.of(lift, holds=holds, options={"settle": 0.02, "hand_over": 0.0, "load_shares": None})
+    plant.reset(lift.q_start)
+    model = lift.cell.model
+    own = pin.computeGeneralizedGravity(model, model.createData(), lift.cell.configuration(plant.positions))
+    more = plant.joint_torques - plant.servo_torques - own
+    for s, held in zip(lift.cell.v_slices, holds, strict=True):
+        assert bool(np.abs(more[s]).max() > 1.0) is held
+        if not held:
+            np.testing.assert_allclose(more[s], 0.0, atol=1e-3)
 
 
 def test_by_default_a_reset_takes_a_second_and_a_half() -> None:

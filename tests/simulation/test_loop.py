@@ -103,6 +103,21 @@ def test_an_object_that_stands_without_its_operator_s_will_ends_the_run(
     assert steps_of(again, rate, duration=most * DT, patience=0.7) == (19 if ends else most), "it counts anew"
 
 
+def test_things_that_are_no_controller_or_plant_are_named() -> None:
+    other: Any = 3
+    kind: Any = Scripted
+    cases: tuple[tuple[Any, Any, str], ...] = (
+        (kind, None, "simulate: controller: the class Scripted itself.*reset and step"),
+        (other, None, "simulate: controller: a int.*reset and step"),
+        (Scripted(), KinematicPlant, "simulate: plant: the class KinematicPlant itself.*reset and apply"),
+        (Scripted(), other, "simulate: plant: a int.*reset and apply"),
+        (Scripted(), Scripted(), "simulate: plant: a Scripted.*reset and apply"),
+    )
+    for controller, plant, said in cases:
+        with pytest.raises(InvalidInputError, match=said):
+            simulate(controller, plant, q_start=START)
+
+
 def test_failures_and_changes_of_limits_are_recorded_by_their_steps() -> None:
     rail = BindingLimit("left", "rail", LimitKind.VELOCITY)
     post = BindingLimit("left", "", LimitKind.COLLISION, between=("object", "post"))
@@ -231,6 +246,17 @@ def moved(controller: Any) -> Array:
         held, [X.translation + d[:3] for X, d in zip(GRASP.T_object_tool, run.shift[4], strict=True)]
     )
     return np.asarray(run.shift)
+
+
+def test_where_a_run_goes_on_along_a_path_that_moves_no_tool_no_motion_is_recorded() -> None:
+    class Turned(Scripted):
+        def step(self, *given: Any, **more: Any) -> ControlStep:
+            made = super().step(*given, **more)
+            return made if self.done <= 4 else made.replaced(path=line())
+
+    run = simulate(Turned(path=sliding()), q_start=START)
+    assert run.shift is not None
+    np.testing.assert_allclose(run.shift[:, 1, 0], [-0.025, -0.05, -0.075, -0.1, 0.0, 0.0, 0.0, 0.0], atol=1e-12)
 
 
 class Gripping:
