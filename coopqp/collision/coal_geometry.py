@@ -14,6 +14,8 @@ from coopqp.model.shapes import MOST_TRIANGLES, Box, Capsule, Cylinder, Hull, Me
 
 #: A hull with more than this many times its mesh's volume is named.
 LARGE_HULL = 1.5
+#: Corners whose spread across a plane is less than this share of that along it lie in the plane.
+_FLAT = 1e-6
 #: Largest accepted mesh file [bytes].
 MOST_BYTES = 100_000_000
 
@@ -100,6 +102,9 @@ def hull_of(points: Any, where: str) -> Any:
     corners = np.asarray(points, dtype=float)
     if not np.isfinite(corners).all():
         raise InvalidInputError("corners that are not finite", where, "Give finite numbers in metres.")
+    spread = np.linalg.svd(corners - corners.mean(axis=0), compute_uv=False)
+    if not spread[-1] > _FLAT * spread[0]:  # coal would end the process
+        raise InvalidInputError("corners without a hull", where, "Give corners that are not in one plane.")
     try:
         return coal.Convex.convexHull(_vectors(corners), True, "Qt")
     except (ValueError, RuntimeError) as error:
