@@ -1,0 +1,124 @@
+"""A first cell for arms that nobody has placed: round numbers that a whole check of the cell confirms."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+import pinocchio as pin
+import pytest
+
+from coopqp import Arm, Grasp, RobotCell, check_path
+from coopqp.errors import NoStartError
+from coopqp.scenarios import dual_arm7, paper_lift
+from coopqp.studies import Goals
+from coopqp.studies.drafting import Draft, Motion, draft, positions_of, reach
+
+MOTION = Motion(size=(0.4, 0.3, 0.1), translation=(0.05, 0.0, 0.2), turn_deg=20.0, duration=4.0)
+ARMS = list(paper_lift().cell.arms)[:2]
+
+
+@pytest.fixture(scope="module", autouse=True)
+def few_samples() -> Iterator[None]:
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("coopqp.studies.drafting._SAMPLES", 1000)
+        yield
+
+
+@pytest.fixture(scope="module")
+def drafted() -> Draft:
+    return draft(ARMS, MOTION)
+
+
+def multiple(value: float, step: float) -> bool:
+    return abs(value / step - round(value / step)) < 1e-6
+
+
+def test_the_path_of_a_motion_rises_and_turns_about_the_vertical() -> None:
+    path = MOTION.path(0.7)
+    assert path.duration == 4.0
+    np.testing.assert_allclose(path.pose(0.0).homogeneous, pin.SE3(np.eye(3), np.array([0.0, 0.0, 0.7])).homogeneous)
+    np.testing.assert_allclose(path.pose(4.0).translation, [0.05, 0.0, 0.9], atol=1e-12)
+    np.testing.assert_allclose(path.pose(4.0).rotation, pin.utils.rotate("z", np.deg2rad(20.0)), atol=1e-12)
+
+
+def test_a_draft_has_round_numbers_and_its_tools_on_the_upper_side(drafted: Draft) -> None:
+    assert multiple(drafted.height, 0.05)
+    assert drafted.height >= 0.5 * MOTION.size[2] + 0.05 - 1e-9
+    sides = [np.array([-1.0, 0.0]), np.array([1.0, 0.0])]  # the first arm stands at the object's −x side
+    for own, side in zip(drafted.arms, sides, strict=True):
+        assert all(multiple(v, 0.05) for v in own.base_xyz)
+        assert own.base_xyz[2] == 0.0
+        assert multiple(own.base_yaw_deg, 5.0)
+        assert -180.0 < own.base_yaw_deg <= 180.0
+        assert multiple(own.tool_rpy_deg[2], 5.0)
+        assert own.tool_xyz[2] == pytest.approx(0.05)
+        # 50 mm inside the edge toward the arm
+        np.testing.assert_allclose(own.tool_xyz[:2], side * (0.2 - 0.05), atol=1e-9)
+        assert own.base.translation[:2] @ side > 0.4
+        np.testing.assert_allclose(own.tool.rotation @ [0.0, 0.0, 1.0], [0.0, 0.0, -1.0], atol=1e-9)
+        np.testing.assert_allclose(own.base.rotation, pin.utils.rotate("z", np.deg2rad(own.base_yaw_deg)), atol=1e-12)
+        # It faces the object.
+        ahead = own.base.rotation[:2, 0]
+        assert ahead @ -side > 0.0
+
+
+def test_a_draft_is_a_cell_that_follows_the_path(drafted: Draft) -> None:
+    assert drafted.placed.feasible
+    cell = RobotCell([arm.placed(own.base) for arm, own in zip(ARMS, drafted.arms, strict=True)])
+    grasp, path = Grasp(tuple(own.tool for own in drafted.arms)), MOTION.path(drafted.height)
+    x = np.concatenate([positions_of(arm, at.q) for arm, at in zip(ARMS, drafted.placed.arms, strict=True)])
+    q = cell.configuration(x)
+    assert check_path(cell, grasp, path, q_start=q).feasible
+    data = cell.model.createData()
+    pin.framesForwardKinematics(cell.model, data, q)
+    for k, own in enumerate(drafted.arms):
+        tool = data.oMf[cell.tool_frames[k]]
+        np.testing.assert_allclose(tool.homogeneous, (path.pose(0.0) * own.tool).homogeneous, atol=1e-6)
+    assert min(T.translation[2] for T in list(data.oMi)[1:]) > -1e-6  # nothing is below the floor
+    for own, at in zip(drafted.arms, drafted.placed.arms, strict=True):
+        assert own.score == pytest.approx(min(at.shares), rel=0.05)
+    assert drafted.placed.score == pytest.approx(min(own.score for own in drafted.arms), rel=0.05)
+
+
+def test_scores_are_shares_of_the_goals(drafted: Draft) -> None:
+    (own,) = draft(ARMS[:1], MOTION, goals=Goals(sigma_min=1e-3, margin_deg=30.0)).arms
+    (half,) = draft(ARMS[:1], MOTION, goals=Goals(sigma_min=1e-3, margin_deg=60.0)).arms
+    assert own.score == pytest.approx(2.0 * half.score)
+    assert own.base_xyz == half.base_xyz
+
+
+def test_a_motion_beyond_all_arms_is_refused_by_their_names() -> None:
+    far = Motion(size=(0.4, 0.3, 0.1), translation=(9.0, 0.0, 0.0), turn_deg=0.0, duration=4.0)
+    with pytest.raises(NoStartError, match=r"no height of the object suits master.*Give a smaller object") as caught:
+        draft(ARMS[:1], far)
+    assert caught.value.arms == ("master",)
+
+
+@pytest.mark.parametrize("arm", [ARMS[0], dual_arm7().cell.arms[0]], ids=["six joints", "seven joints"])
+def test_the_reach_of_an_arm_is_that_of_other_samples(arm: Arm) -> None:
+    rng, data = np.random.default_rng(7), arm.model.createData()
+    cell = RobotCell([arm.placed(pin.SE3.Identity())])
+    low, high = np.maximum(arm.limits.lower, -np.pi), np.minimum(arm.limits.upper, np.pi)
+    frame, farthest = cell.tool_frames[0], 0.0
+    data = cell.model.createData()
+    for x in rng.uniform(low, high, (1000, cell.nv)):
+        pin.framesForwardKinematics(cell.model, data, cell.configuration(x))
+        farthest = max(farthest, float(np.linalg.norm(data.oMf[frame].translation)))
+    assert reach(arm) == pytest.approx(farthest, rel=0.03)
+    assert reach(arm.placed(pin.SE3(np.eye(3), np.array([3.0, 2.0, 1.0])))) == reach(arm)
+
+
+def test_arms_stand_evenly_around_the_object_and_the_check_names_what_is_impossible() -> None:
+    arms = list(paper_lift().cell.arms)
+    found = draft(arms, MOTION)
+    centre = MOTION.path(found.height).pose(2.0).translation[:2]
+    for own, degrees in zip(found.arms, (180.0, 60.0, -60.0), strict=True):
+        x, y = np.array(own.base_xyz[:2]) - centre
+        away = (np.rad2deg(np.arctan2(y, x)) - degrees + 180.0) % 360.0 - 180.0
+        assert abs(away) < 25.0
+        held = np.rad2deg(np.arctan2(own.tool_xyz[1], own.tool_xyz[0]))
+        assert (held - degrees + 180.0) % 360.0 - 180.0 == pytest.approx(0.0, abs=0.1)
+    assert found.placed.feasible
+    with pytest.raises(NoStartError, match=r"no place was found for the bases: .* come inside their margin of 5000 mm"):
+        draft(arms[:2], MOTION, goals=Goals(clearance_mm=5000.0))
