@@ -138,6 +138,39 @@ def study(folder: Path, axes: str, y: Any = 0.5, z: Any = 0) -> Path:
     return file
 
 
+def test_bases_stand_where_axes_and_numbers_say(tmp_path: Path) -> None:
+    axes = "h = { low = 3.0, high = 4.0, number = 3, now = 3.6 }, b = { low = -1.0, high = 1.0, number = 2 }"
+    made = load_place_study(study(tmp_path, axes, y='"-b"', z='"b"'))
+    master, first, second = made.bases({"h": 3.5, "b": 0.4})
+    np.testing.assert_array_equal(master.homogeneous, LIFT.cell.arms[0].T_world_base.homogeneous)
+    np.testing.assert_allclose(first.translation, [3.5, -0.4, 0.4])
+    np.testing.assert_allclose(first.rotation, LIFT.cell.arms[1].T_world_base.rotation)  # as built
+    np.testing.assert_allclose(second.translation, [3.5, -0.5, 0.0])
+    np.testing.assert_array_equal(second.rotation, np.diag([-1.0, -1.0, 1.0]))  # exactly half a turn
+    assert made.units == {"h": "m", "b": "m"}
+    assert made.axes["h"].values == [3.0, 3.5, 4.0]
+    assert made.now is None  # nothing says where b is now
+    told: list[tuple[int, int]] = []
+    found = made.map(lambda i, n: told.append((i, n)))
+    assert told == [(i, 6) for i in range(1, 7)]
+    assert [tuple(placed.values.values()) for placed in found] == [(h, b) for h in (3.0, 3.5, 4.0) for b in (-1.0, 1.0)]
+
+
+def test_a_yaw_that_is_an_axis_is_an_angle_and_now_is_as_built(tmp_path: Path) -> None:
+    file = study(tmp_path, "h = { low = 3.0, high = 4.0, now = 3.6 }, turn = { low = -9.0, high = 9.0, now = 0.0 }")
+    text = file.read_text(encoding="utf-8").replace("yaw_deg = 180", 'yaw_deg = "-turn"')
+    file.write_text(text, encoding="utf-8")
+    made = load_place_study(file)
+    assert made.units == {"h": "m", "turn": "deg"}
+    np.testing.assert_allclose(
+        made.bases({"h": 3.6, "turn": 9.0})[2].rotation, pin.utils.rotate("z", np.deg2rad(-9.0)), atol=1e-12
+    )
+    now = made.now
+    assert now is not None
+    assert now.values == {"h": 3.6, "turn": 0.0}
+    np.testing.assert_allclose(now.bases[2].translation, [3.6, -0.5, 0.0])
+
+
 @pytest.mark.slow
 def test_the_command_writes_a_map_and_says_what_is_wrong(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     file = study(tmp_path, "h = { low = 3.5, high = 3.9, number = 5, now = 3.9 }")

@@ -15,6 +15,7 @@ import warnings
 from collections.abc import Callable, Iterator
 from concurrent.futures import BrokenExecutor, Executor, Future
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -98,6 +99,32 @@ def test_a_dotted_key_names_tables_entries_and_arms() -> None:
     for key in ("arms.middle.robot", "arms.2.robot", "arms.left.robot.x"):
         with pytest.raises(StudyError, match=r"known: left, right|is no table"):
             put(data, key, 1)
+
+
+@pytest.mark.parametrize(
+    ("key", "said"),
+    [
+        ("poses.3.x", "poses has no entry '3'; known: 0 to 2."),
+        ("poses.-1.x", "poses has no entry '-1'; known: 0 to 2."),
+        ("arms.middle", "arms has no entry 'middle'; known: left, right."),
+        ("name.first.x", "key 'name.first.x': name is no table. Check the key."),
+        ("arms.left.base.first.x", "key 'arms.left.base.first.x': arms.left.base is no table"),
+    ],
+)
+def test_a_key_that_leads_nowhere_is_told_what_is_there(key: str, said: str) -> None:
+    data: dict[str, Any] = {
+        "arms": [{"name": "left", "base": 1}, {"name": "right"}],
+        "poses": [1, {"x": 2}, 3],
+        "name": "cell",
+    }
+    with pytest.raises(StudyError) as caught:
+        put(data, key, 1)
+    assert said in str(caught.value)
+    put(data, "poses.1.x", 7)
+    put(data, "poses.2", 8)
+    put(data, "verdict.deep.er", 9)
+    assert data["poses"] == [1, {"x": 7}, 8]
+    assert data["verdict"] == {"deep": {"er": 9}}
 
 
 OF_A_LIFT = 'name = "s"\nscenario = "paper_lift"\n'
@@ -301,6 +328,38 @@ def test_every_row_comes_once_and_exactly_those_that_kill_are_lost(
     assert sorted(done.row for done in taken) == list(range(rows))
     assert {done.row for done in taken if done.columns is None} == {row for row in fatal if row < rows}
     assert all(done.columns == {"x": done.row} for done in taken if done.columns is not None)
+
+
+@pytest.mark.parametrize(
+    ("seconds", "rows", "workers", "largest"),
+    [(0.125, 100, 1, 8), (0.375, 100, 1, 3), (5.0, 100, 1, 1), (0.0, 10_000, 2, 1000), (2.0**-7, 64, 4, 7)],
+)
+def test_chunks_take_the_time_that_is_asked_for_and_leave_a_share_for_each_worker(
+    seconds: float, rows: int, workers: int, largest: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    clock, chunks = iter(range(10**9)), []
+
+    class Watched(Mortal):
+        def submit(self, fn: Any, /, *args: Any, **kwargs: Any) -> Future[Any]:
+            chunks.append(len(args[1]))
+            return super().submit(fn, *args, **kwargs)
+
+    class Watching(MortalEngine):
+        @contextlib.contextmanager
+        def open(self, workers: int) -> Iterator[Executor]:
+            yield Watched(*self.made)
+
+    monkeypatch.setattr("coopqp.studies.dispatch.time", SimpleNamespace(thread_time=lambda: seconds * next(clock)))
+    taken: list[Any] = []
+    engine = Watching(workers, set(), iter(lambda: False, True), breaks=False)
+    run_rows(lambda row: {"x": row}, range(rows), engine, take=taken.extend)
+    assert [done.seconds for done in taken] == pytest.approx([seconds] * rows)
+    assert sum(chunks) == rows
+    assert chunks[0] == 1  # nothing is known of them
+    assert max(chunks) == largest
+    chunks.clear()
+    run_rows(lambda row: {"x": row}, range(rows), engine, take=taken.extend, chunk=7)
+    assert set(chunks[:-1]) <= {7}
 
 
 def test_an_error_of_the_engine_is_no_lost_row() -> None:
