@@ -17,7 +17,9 @@ from coopqp.collision.moving_bodies import MovingBodies
 from coopqp.constraints.velocity import LabelledRows
 from coopqp.model import CellState, LimitKind
 from coopqp.native.constants import BRAKING_SHARE, EVADES_EARLY
-from coopqp.planning import PathVerdict
+from coopqp.planning import ClearanceCheck, PathVerdict
+from coopqp.planning.joint_trajectories import ArmTrajectory, HeldTrajectory
+from coopqp.planning.segments import segments_of
 from coopqp.scenarios import Scenario, dual_arm7, elbow_and_knob, paper_lift
 from coopqp.spatial import Array, as_placement
 
@@ -244,3 +246,90 @@ def test_a_scene_without_pairs_is_clear_and_says_so() -> None:
     assert found.why == ""
     assert Clearance(scene).nearest(task.q_start) is None
     assert scene.distances(task.q_start) == ()
+
+
+@pytest.fixture(scope="module")
+def straight() -> tuple[Scenario, list[ArmTrajectory]]:
+    """A lift along a straight line, and the ways of its arms."""
+    task = paper_lift()
+    found = check_path(task.cell, task.grasp, task.path, q_start=task.q_start)
+    return task, [arm.chosen.trajectory for arm in found.arms if arm.chosen is not None]
+
+
+def passed(
+    task: Scenario, ways: list[ArmTrajectory], share: float, margin: float, **changes: Any
+) -> tuple[ClearanceCheck, float]:
+    """A ball that is carried past another, which is 20 mm off; and the clock when it is nearest."""
+    first, last = (task.path.pose(t).translation for t in (0.0, task.path.duration))
+    side = np.cross(last - first, [1.0, 0.0, 0.0])
+    nearest = first + share * (last - first)
+    bob = Body("bob", Sphere(0.05))
+    ball = Body("ball", Sphere(0.05), pin.SE3(np.eye(3), nearest + 0.12 * side / np.linalg.norm(side)))
+    arms = [(arm, "*") for arm in task.cell.arm_names]
+    scene = CollisionScene.of(task, carried=[bob], obstacles=[ball], margin=margin, ignored=arms, **changes)
+    way = HeldTrajectory(task.cell, task.path, segments_of(task.path), ways, task.cell.positions(task.q_start))
+    clocks = np.linspace(0.0, task.path.duration, 2001)
+    at = np.argmin([np.linalg.norm(task.path.pose(float(t)).translation - nearest) for t in clocks])
+    return scene.along(way), float(clocks[at])
+
+
+@pytest.mark.parametrize("share", [0.137, 0.302, 0.437, 0.561, 0.713])
+def test_what_is_proved_is_no_more_than_the_least_distance(
+    share: float, straight: tuple[Scenario, list[ArmTrajectory]]
+) -> None:
+    found, clock = passed(*straight, share, 0.0)
+    assert found.verdict is PathVerdict.CERTIFIED
+    assert found.pair is not None
+    assert {found.pair.first, found.pair.second} == {"ball", "bob"}
+    assert 0.95 * found.pair.distance - 2e-4 <= found.proved <= 0.02 + 1e-9 <= found.pair.distance + 2e-9
+    assert found.pair.distance == pytest.approx(0.02, rel=0.06)
+    assert found.clock == pytest.approx(clock, abs=0.3)
+    assert found.why == ""
+    assert found.stop is None
+    assert (np.diff(found.clocks) >= 0.0).all()
+    assert found.distances.min() >= found.pair.distance - 1e-12
+
+
+def test_a_margin_that_is_touched_is_not_decided_there_nor_beyond_the_end_of_a_way(
+    straight: tuple[Scenario, list[ArmTrajectory]], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("coopqp.collision.path_check._SHORTEST", 1e-4)  # it gives up sooner
+    task, ways = straight
+    half = len(ways[1].q) // 2
+    short = replace(ways[1], places=ways[1].places[: half + 1], q=ways[1].q[: half + 1], rates=ways[1].rates[:half])
+    ended, clock = passed(task, [ways[0], short, *ways[2:]], 0.2, 0.02 + 0.9e-6)
+    assert ended.verdict is PathVerdict.UNDECIDED
+    assert ended.proved == -np.inf
+    assert len(ended.undecided) == 2
+    low, high = ended.undecided[0]
+    assert low - 2e-3 <= clock <= high + 2e-3
+    assert high - low < 0.2
+    said = f"it is not decided on {low:.4g}–{high:.4g} s whether "
+    assert ended.why.startswith(said)
+    assert {"ball", "bob"} <= set(ended.why.removeprefix(said).split())
+    assert "keep their margin of 20 mm" in ended.why
+    end = ended.undecided[1, 0]
+    assert ended.undecided[1, 1] == task.path.duration
+    assert ended.why.endswith(f"; from {end:.4g} s on nothing is judged, since the way of an arm ends there")
+    alone, _ = passed(task, [ways[0], short, *ways[2:]], 0.2, 0.0)
+    assert alone.why == ended.why.partition("; ")[2]
+    np.testing.assert_allclose(alone.undecided, [[end, task.path.duration]])
+
+
+def test_where_the_motion_of_an_arm_has_no_bound_its_distances_are_sampled(
+    straight: tuple[Scenario, list[ArmTrajectory]],
+) -> None:
+    task, ways = straight
+    blind = [replace(ways[0], rates=np.full_like(ways[0].rates, np.inf)), *ways[1:]]
+    carried, _ = passed(task, blind, 0.437, 0.0)
+    assert carried.verdict is PathVerdict.CERTIFIED  # the object's pose alone decides
+    scene = CollisionScene.of(task, margin=0.0)
+    segments, rest = segments_of(task.path), task.cell.positions(task.q_start)
+    proved, sampled = (scene.along(HeldTrajectory(task.cell, task.path, segments, w, rest)) for w in (ways, blind))
+    assert proved.verdict is PathVerdict.CERTIFIED
+    assert sampled.verdict is PathVerdict.SAMPLED
+    assert sampled.why == "Between them nothing is proved"
+    assert sampled.proved == -np.inf
+    assert sampled.pair is not None
+    assert proved.pair is not None
+    assert sampled.pair.distance == pytest.approx(proved.pair.distance, rel=0.05)
