@@ -289,10 +289,12 @@ class _MovedDistances:
         # Links of a base are an arm's, or a robot's whose arms share joints.
         owners = {scene.cell.arms[group[0]].robot: group[0] for group in scene.cell.groups}
         owners |= {name: k for k, name in enumerate(scene.cell.arm_names)}
+        shapes = list(self.geometry.geometryObjects)
+        links = [self.model.frames[shape.parentFrame].name.partition("/")[0] for shape in shapes]
         self.shapes = [
-            (i, owners[name.partition("/")[0]], self.geometry.geometryObjects[i].placement.copy())
-            for i, name in enumerate(built.names)
-            if self.geometry.geometryObjects[i].parentJoint == 0 and name.partition("/")[0] in owners
+            (i, owners[link], shape.placement.copy())
+            for i, (link, shape) in enumerate(zip(links, shapes, strict=True))
+            if shape.parentJoint == 0 and shape.parentFrame and link in owners  # else it stands in the world
         ]
 
     def least(self, bases: Sequence[pin.SE3], way: Array) -> tuple[float, tuple[str, str], int]:

@@ -14,6 +14,7 @@ from places import DOCS
 
 from coopqp import CollisionScene, QPController, find_start, simulate
 from coopqp.cli import main as cli
+from coopqp.collision import Body, Sphere
 from coopqp.scenarios import paper_lift
 from coopqp.studies import CellPlaced, Goals, Placer, StudyError, load_place_study
 
@@ -107,6 +108,55 @@ def test_remedies_are_the_shortest_that_help_and_are_said_by_direction(placer: P
 
         assert follows(0.01 * float(length))
         assert not follows(0.01 * float(length) - 0.02)
+
+
+@pytest.mark.parametrize(("h", "y", "z"), [(3.6, 0.5, 0.9), pytest.param(3.6, 1.5, 0.0, marks=pytest.mark.slow)])
+def test_no_other_direction_helps_sooner_than_the_remedy(h: float, y: float, z: float) -> None:
+    placer = Placer(LIFT.cell, LIFT.grasp, LIFT.path)
+    bases = [arm.T_world_base for arm in LIFT.cell.arms]
+    base = bases[1] = pin.SE3(np.diag([-1.0, -1.0, 1.0]), np.array([h, y, z]))
+    placed = placer.cell_at(bases, quick=False)
+    assert [arm.feasible for arm in placed.arms] == [True, False, True]
+    (text,) = placer.remedies(placed)
+    name, needs, length, cm, *way = text.split()
+    assert (name, needs, cm) == ("slave_1", "needs", "cm")
+    held = placer.samples.tool_poses(LIFT.grasp.T_object_tool[1])[:, :3, 3].mean(axis=0) - base.translation
+    toward = np.array([*held[:2], 0.0]) / np.linalg.norm(held[:2])
+    up = np.array([0.0, 0.0, 1.0])
+    left = np.cross(up, toward)
+    ways = {
+        "more toward the object": toward, "more away from the object": -toward, "to the left of it": left,
+        "to the right of it": -left, "up": up, "down": -up,
+    }  # fmt: skip
+
+    def follows(step: Any) -> bool:
+        return placer.arm(1, pin.SE3(base.rotation, base.translation + step), quick=False).feasible
+
+    far = 0.01 * float(length)
+    assert follows(far * ways[" ".join(way)])
+    assert not any(follows((far - 0.02) * step) for step in ways.values())
+
+
+def test_what_stands_on_a_base_moves_with_it() -> None:
+    """A ball on the base of an arm, whatever it is called, beside the object's path."""
+    frame = next(f.name for f in LIFT.cell.model.frames if f.parentJoint == 0 and f.name.startswith("slave_1/"))
+    moved = pin.SE3(np.diag([-1.0, -1.0, 1.0]), np.array([3.55, 0.45, 0.0]))
+    bases = [LIFT.cell.arms[0].T_world_base, moved, LIFT.cell.arms[2].T_world_base]
+    centre = (LIFT.path.pose(0.0) * LIFT.T_object_body).translation + np.array([0.0, 0.9, 0.0])
+    at = moved.actInv(centre)
+    ball = Body("ball", Sphere(0.05), pin.SE3(np.eye(3), at))
+    scene = CollisionScene.of(LIFT, on_links={frame: [ball]}, ignored=[(arm, "*") for arm in LIFT.cell.arm_names])
+    assert set(map(frozenset, scene.pairs)) == {frozenset(("ball", "object"))}
+    placer = Placer(LIFT.cell, LIFT.grasp, LIFT.path, scene=scene)
+    half, distances = 0.5 * np.array(LIFT.object_size), []
+    for T in placer.samples.poses:
+        away = np.abs((T * LIFT.T_object_body).actInv(centre)) - half
+        distances.append(float(np.linalg.norm(np.maximum(away, 0.0))) - 0.05)
+    found = placer.cell_at(bases)
+    assert found.follows
+    assert set(found.near) == {"ball", "object"}
+    assert found.clearance == pytest.approx(min(distances), abs=1e-6)
+    assert found.near_s == pytest.approx(placer.samples.clocks[int(np.argmin(distances))])
 
 
 def test_goals_make_the_score() -> None:
