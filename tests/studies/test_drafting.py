@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from pathlib import Path
 
 import numpy as np
 import pinocchio as pin
 import pytest
+from torsos import two_arms
 
 from coopqp import Arm, Grasp, RobotCell, check_path
 from coopqp.errors import NoStartError
@@ -126,3 +128,19 @@ def test_arms_stand_evenly_around_the_object() -> None:
 def test_arms_that_would_come_too_close_wherever_they_stand_are_refused_with_the_reason() -> None:
     with pytest.raises(NoStartError, match=r"no place was found for the bases: .* come inside their margin of 5000 mm"):
         draft(ARMS, MOTION, goals=Goals(clearance_mm=5000.0))
+
+
+@pytest.mark.parametrize("axis", [tuple(row) for row in np.concatenate([np.eye(3), -np.eye(3)]).tolist()])
+def test_the_axis_out_of_a_tool_points_down(axis: tuple[float, float, float], tmp_path: Path) -> None:
+    x, y, z = 0.12 * np.array(axis)
+    tool = (
+        '<link name="tool"/><joint name="hand" type="fixed"><parent link="left_link_5"/><child link="tool"/>'
+        f'<origin xyz="{x} {y} {z}"/></joint></robot>'
+    )
+    file = tmp_path / "arm.urdf"
+    ball = '<link name="base"><collision><geometry><sphere radius="0.05"/></geometry></collision></link>'
+    text = two_arms(()).replace('<link name="base"/>', ball).replace("</robot>", tool)
+    file.write_text(text, encoding="utf-8")
+    arm = Arm.from_urdf("left", file, tool_frame="tool")
+    (own,) = draft([arm], Motion(size=(0.1, 0.1, 0.1), translation=(0.0, 0.0, 0.02), turn_deg=0.0, duration=1.0)).arms
+    np.testing.assert_allclose(own.tool.rotation @ np.array(axis), [0.0, 0.0, -1.0], atol=1e-9)
