@@ -365,7 +365,8 @@ class LoadShare:
             kinds = (LimitKind.INTERNAL_FORCE, LimitKind.INTERNAL_TORQUE)
             of = internal_use if name.kind in kinds else grip_use
             of[k] = max(of[k], used)
-        order = [i for i in np.argsort(-use.round(5), kind="stable") if use[i] >= _BINDS]
+        binds = _BINDS if share == 1.0 else min(_BINDS, use.max())  # far too much load leaves the solver less exact
+        order = [i for i in np.argsort(-use.round(5), kind="stable") if use[i] >= binds]
         return SharedLoad(
             self._on_object(c),
             self._on_object(inner),

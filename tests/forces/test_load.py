@@ -395,3 +395,15 @@ def test_bad_settings_of_load_sharing(paper: Scenario) -> None:
         tight.share(paper.q_start)
     with pytest.raises(InvalidInputError, match="gravity"):
         PhysicsPlant.of(paper, load=load, options=PhysicsOptions(gravity=(0, 0, -1.6)))
+
+
+@pytest.mark.parametrize("mass", [200.0, 1e3, 1e4, 1e5])
+def test_a_load_that_is_far_too_heavy_names_what_binds(make_cell: Callable[..., RobotCell], mass: float) -> None:
+    cell = make_cell(["arm7"])
+    q = cell.configuration([0.0, 0.5, 0.0, -1.2, 0.0, 0.8, 0.0])
+    grasp = Grasp((pin.SE3.Identity(),))
+    payload = Payload(mass=mass, inertia=0.01 * mass * np.eye(3), torque=50.0)
+    shared = LoadShare(cell, grasp, payload, internal_force=1e9).share(q)
+    assert not shared.feasible
+    assert shared.binding
+    assert shared.binding[0].kind is LimitKind.TORQUE
