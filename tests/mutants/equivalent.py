@@ -107,6 +107,21 @@ EQUIVALENT: dict[tuple[str, str, str], str] = {
                 "if not np.isfinite(ahead).any():",
             ): "where it is singular the arm ends in either case, and only its last knot is named",
         },
+        "coopqp/files/cellfile/explain.py": {
+            (
+                "entries = list(value.items())[:60]",
+                "entries = list(value.items())[: 59]",
+            ): "the text is cut at 60 characters, and 59 entries are longer",
+        },
+        "coopqp/files/cellfile/hints.py": {
+            ("_ANY = 1e9", "_ANY = 1000000001.0"): "either internal force binds nothing",
+        },
+        "coopqp/simulation/plants/physics.py": {
+            (
+                "palms=None if self.palms is None else dict(zip(cell.arm_names, self.palms, strict=True)),",
+                "palms=None if self.palms is None else dict(zip(cell.arm_names, self.palms, strict=False)),",
+            ): "as many palms as arms were asked for before",
+        },
         "coopqp/control/monitoring/supervision.py": {
             ("if o.let_in > 0.0:", "if o.let_in > -1.0:"): "with 0 no drift is let in, only later",
             ("if radius != 1.0:", "if radius != 2.0:"): "a division by 1",
