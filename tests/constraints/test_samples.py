@@ -156,3 +156,9 @@ def test_a_path_with_more_breakpoints_than_are_kept_is_sampled_to_its_end() -> N
     clocks = sample_path(EverywhereMarked(HERE, duration=1.0), grasp(0.0)).clocks
     assert clocks[-1] == 1.0
     assert np.diff(clocks).max() < 2e-5
+
+
+def test_breakpoints_a_microsecond_apart_are_all_among_the_samples() -> None:
+    marks = (0.3, 0.3 + 1e-6, 0.7)
+    clocks = sample_path(OnlyMarked(line(place(0.1)), *marks), grasp(0.0)).clocks
+    assert {*marks} <= {*clocks.tolist()}
