@@ -142,11 +142,16 @@ class Trial:
         return self._copy.killer(self._core, "-m", CORE, limit=3600)
 
     def _tests(self, mutant: Mutant, folders: list[str]) -> list[str]:
-        """Tests of some folders for the line that the mutant changes, which is in place as yet; none for C."""
+        """Tests of some folders for the line that the mutant changes, which is in place as yet; none for C.
+
+        Of the package's own folder all quick ones for a line that an import executes.
+        """
         if mutant.group == "C":
             return []
         source = (self._copy.folder / mutant.module).read_text(encoding="utf-8")
         line = source.splitlines()[mutant.line - 1] if mutant.line in in_functions(source) else ""
+        if not line and len(folders) == 1:
+            return folders
         return self._reach.tests(mutant.module, line, self._seconds, folders)
 
     def _killer(self, mutant: Mutant, tests: list[str]) -> str:

@@ -3,7 +3,8 @@
 The tests of a package stand in the folder of its name. Behind them, in a second line, are all others.
 
 The map is measured by coverage.py, file by file. A line outside of functions, which an import executes, is no test's
-own; there, and after a line's own tests, come those that spend the largest part of their lines on its module.
+own; in the second line, and after a line's own tests, come those that spend the largest part of their lines on its
+module.
 """
 
 from __future__ import annotations
