@@ -171,6 +171,20 @@ def test_an_object_is_pushed_off_a_body_just_as_far_as_is_required(height: float
     assert scene.pushed(T, along, required) is None
 
 
+def test_an_object_is_not_pushed_off_a_body_that_stands_in_its_line() -> None:
+    """A ball before a ball at the object's origin: no push across the line, and no turn, leads away."""
+    task = paper_lift()
+    T = task.path.pose(0.0)
+    balls = {"on_links": {}, "carried": [Body("ball", Sphere(0.1))]}
+    post = Body("post", Sphere(0.1), pin.SE3(np.eye(3), T.translation + np.array([0.21, 0.0, 0.0])))
+    scene = CollisionScene.of(task, obstacles=[post], ignored=[(a, "*") for a in task.cell.arm_names], **balls)
+    required = np.full(len(scene.built.labels), 0.05)
+    assert scene.pushed(T, np.array([1.0, 0.0, 0.0]), required) is None
+    aside = scene.pushed(T, np.array([0.0, 0.0, 1.0]), required)
+    assert aside is not None
+    assert aside.translation[0] < T.translation[0] - 0.03
+
+
 # -- evasion -----------------------------------------------------------------------------------------------------------
 
 

@@ -107,6 +107,12 @@ EQUIVALENT: dict[tuple[str, str, str], str] = {
                 "if not np.isfinite(ahead).any():",
             ): "where it is singular the arm ends in either case, and only its last knot is named",
         },
+        "coopqp/collision/convex_shapes.py": {
+            (
+                'faces = np.ascontiguousarray(triangles, dtype="<i4").reshape(-1, 3)',
+                'faces = np.ascontiguousarray(triangles, dtype="<i4").reshape(- 2, 3)',
+            ): "NumPy reads any negative length as the one that fits",
+        },
         "coopqp/files/cellfile/explain.py": {
             (
                 "entries = list(value.items())[:60]",
