@@ -8,8 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from coopqp import Knot, Rank
-from coopqp.constraints.cause import Cause
+from coopqp import Cause, Knot, Rank
 from coopqp.constraints.rate import BoundTrouble, lines_of
 from coopqp.constraints.samples import PathSamples
 from coopqp.constraints.velocity import ConstraintTrouble, Rows, no_rows

@@ -12,8 +12,7 @@ import pinocchio as pin
 import pytest
 from pydantic import ValidationError
 
-from coopqp import LinePath, QPController, WaypointPath, load_cell_file
-from coopqp.control.options import QPOptions
+from coopqp import LinePath, QPController, QPOptions, TimedPath, WaypointPath, load_cell_file
 from coopqp.drivers.sim import SimDriver
 from coopqp.drivers.ur import UrDriver
 from coopqp.errors import StartWarning, UndecidedError, UnknownNameError, UnreachableError
@@ -25,7 +24,7 @@ from coopqp.files.cellfile.write import file_text
 from coopqp.model import CellState
 from coopqp.model.shapes import Box, Capsule, Cylinder, Mesh, Sphere
 from coopqp.paths.elbows import Elbows
-from coopqp.paths.timed import SpeedProfile, TimedPath
+from coopqp.paths.timed import SpeedProfile
 from coopqp.planning import FreeTurn, TurnedGoal
 from coopqp.planning.route.route import Route, RouteVerdict
 from coopqp.simulation.plants.kinematic import KinematicPlant

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 from places import CELL_FILES
 
-from coopqp import load_cell_file
-from coopqp.collision.scene import DEFAULT_MARGIN, CollisionScene
+from coopqp import CollisionScene, load_cell_file
+from coopqp.collision.scene import DEFAULT_MARGIN
 from coopqp.files import CellFileError
 from coopqp.model.shapes import Box, Capsule, Cylinder, Mesh, Sphere
 from coopqp.spatial import as_placement

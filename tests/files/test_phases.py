@@ -9,12 +9,12 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from coopqp import HoldPath, LinePath, WaypointPath
+from coopqp import HoldPath, LinePath, TimedPath, WaypointPath
 from coopqp.files import CellFileError
 from coopqp.files.cellfile import load_cell_task
 from coopqp.files.cellfile.write import file_text
 from coopqp.paths.joint_path import JointPath
-from coopqp.paths.timed import SpeedProfile, TimedPath
+from coopqp.paths.timed import SpeedProfile
 from coopqp.programs import Program
 from coopqp.programs.roles import Follows, FollowsJoints, Holds, Slides, Travels, Turns, Waits, Works
 from coopqp.scenarios import Scenario

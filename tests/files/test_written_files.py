@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from places import CELL_FILES
 
-from coopqp import load_cell_file
+from coopqp import TimedPath, load_cell_file
 from coopqp.files import CellFileError
 from coopqp.files.cellfile.build import CellRun
 from coopqp.files.cellfile.schema import CellFile
@@ -23,7 +23,6 @@ from coopqp.files.cellfile.sensors import (
 from coopqp.files.cellfile.text import read_tables
 from coopqp.files.cellfile.write import file_text, settings_of, timed_text
 from coopqp.forces.wrist_sensor import WristSensor
-from coopqp.paths.timed import TimedPath
 from coopqp.scenarios import robot_path
 
 RICH: dict[str, Any] = {

@@ -5,8 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from coopqp import InvalidInputError, JointLimits, RobotCell
-from coopqp.model.limits import BindingLimit, LimitKind
+from coopqp import BindingLimit, InvalidInputError, JointLimits, LimitKind, RobotCell
 
 
 @pytest.mark.parametrize(

@@ -12,11 +12,10 @@ import pinocchio as pin
 import pytest
 from cells import rx90l
 
-from coopqp import CommonError, Grasp, JointLimits, PostureOptions, Robot
+from coopqp import BindingLimit, CommonError, Grasp, JointLimits, LimitKind, PostureOptions, Robot
 from coopqp.model import Free, freed_cell
 from coopqp.model.batch import BatchSolutions, Walks
 from coopqp.model.branches import Branches
-from coopqp.model.limits import BindingLimit, LimitKind
 from coopqp.model.shapes import Body, Box, Capsule, Cylinder, Hull, Mesh, NearPair, Sphere
 from coopqp.model.tool_guess import ToolGuess
 from coopqp.scenarios import five_joint_pair, robot_path

@@ -8,12 +8,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from coopqp import load_cell_file
+from coopqp import TimedPath, load_cell_file
 from coopqp.cli.main import main
 from coopqp.files import CellFileError
 from coopqp.files.cellfile.build import CellRun
 from coopqp.files.cellfile.write import planned_program_text
-from coopqp.paths.timed import TimedPath
 from coopqp.planning import time_program
 from coopqp.programs import Program
 from coopqp.programs.roles import Follows, FollowsJoints

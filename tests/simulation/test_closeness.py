@@ -11,8 +11,7 @@ import pinocchio as pin
 import pytest
 from cells import grasp_at
 
-from coopqp import Recording, RobotCell
-from coopqp.collision.scene import CollisionScene
+from coopqp import CollisionScene, Recording, RobotCell
 from coopqp.model import CellState
 from coopqp.model.shapes import Body, Sphere
 from coopqp.simulation import Closeness

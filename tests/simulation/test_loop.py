@@ -10,8 +10,18 @@ import pinocchio as pin
 import pytest
 from cells import cart
 
-from coopqp import ControlStep, Grasp, InvalidInputError, LinePath, Recording, RobotCell, Status, simulate
-from coopqp.model.limits import BindingLimit, LimitKind
+from coopqp import (
+    BindingLimit,
+    ControlStep,
+    Grasp,
+    InvalidInputError,
+    LimitKind,
+    LinePath,
+    Recording,
+    RobotCell,
+    Status,
+    simulate,
+)
 from coopqp.paths.grasp_motion import GraspMotion, GraspPiece
 from coopqp.simulation import KinematicPlant
 from coopqp.simulation.simulate import begin, refuse_for_plant

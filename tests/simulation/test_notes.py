@@ -7,8 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 import pytest
 
-from coopqp import ControlStep, Status
-from coopqp.model.limits import BindingLimit, LimitKind
+from coopqp import BindingLimit, ControlStep, LimitKind, Status
 from coopqp.scenarios import Scenario
 from coopqp.simulation.recording.notes import Notes
 
