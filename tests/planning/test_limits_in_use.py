@@ -9,15 +9,17 @@ import numpy as np
 import pinocchio as pin
 import pytest
 from runs import limited
+from scipy.interpolate import CubicHermiteSpline
 
 from coopqp import Arm, InvalidInputError, LimitKind, RobotCell, WaypointPath
 from coopqp.errors import UnreachableError
 from coopqp.model.limits import BindingLimit
+from coopqp.paths import SpeedProfile
 from coopqp.planning import Payload, time_path
 from coopqp.planning.jerk import jerk_use, smoothed
 from coopqp.planning.knots import Knots
 from coopqp.planning.parametrise import Limited, Lines, outermost
-from coopqp.planning.timing import binding_limits, kept_within, use_between
+from coopqp.planning.timing import binding_limits, kept_within, motion_over_clock, use_between
 from coopqp.scenarios import dual_arm7, paper_lift, robot_path
 from coopqp.spatial import Array
 
@@ -231,3 +233,20 @@ def test_a_payload_that_cannot_be_held_is_told_with_joint_torque_and_place() -> 
     assert "still 0 m" in text
     needed = float(text.split("needs ")[1].split(" N")[0])
     assert needed > 29.4
+
+
+def test_the_motion_over_the_clock_has_few_knots_and_is_exact_at_all() -> None:
+    """The joints go as sines of s along the trapezium; knots that cubics know without them are left out."""
+    slow = np.array([1.0, 0.3])
+    x, slopes = np.sin(S[:, None] * slow), np.cos(S[:, None] * slow) * slow
+    profile = SpeedProfile(S, TRAPEZIUM)
+    found = motion_over_clock(profile, x, slopes)
+    assert 3 < len(found.clocks) < 150
+    assert np.isin(found.clocks, profile.clocks).all()
+    assert found.clocks[0] == 0.0
+    assert found.clocks[-1] == profile.clocks[-1]
+    speed = np.sqrt(TRAPEZIUM)[:, None] * slopes
+    np.testing.assert_allclose(CubicHermiteSpline(found.clocks, found.x, found.slopes)(profile.clocks), x, atol=1e-8)
+    own = np.isin(profile.clocks, found.clocks)
+    np.testing.assert_array_equal(found.x, x[own])
+    np.testing.assert_array_equal(found.slopes, speed[own])
