@@ -181,7 +181,8 @@ def test_of_corners_the_one_at_which_a_way_stops_is_rounded_less() -> None:
 def test_changes_make_a_way_faster_and_keep_it_free() -> None:
     shaper, first = shape(0.02)
     found = shaper.faster(first, np.random.default_rng(1), later(), changes=60)
-    assert found.duration < 0.8 * first.duration
+    # Less than the first joint takes for its metre is not possible: L/v + v/a.
+    assert 2.25 <= found.duration < 1.001 * 2.25 < 0.8 * first.duration
     assert (found.rooms >= 0.0).all()
     np.testing.assert_array_equal(found.poses[0].p, ROUND[0])
     np.testing.assert_array_equal(found.poses[-1].p, ROUND[-1])
