@@ -11,9 +11,8 @@ import pytest
 from runs import limited
 from scipy.interpolate import CubicHermiteSpline
 
-from coopqp import Arm, InvalidInputError, LimitKind, RobotCell, WaypointPath
+from coopqp import Arm, BindingLimit, InvalidInputError, LimitKind, RobotCell, WaypointPath
 from coopqp.errors import UnreachableError
-from coopqp.model.limits import BindingLimit
 from coopqp.paths import SpeedProfile
 from coopqp.planning import Payload, time_path
 from coopqp.planning.jerk import jerk_use, smoothed

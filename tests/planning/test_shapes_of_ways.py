@@ -9,7 +9,7 @@ from collections import Counter
 import numpy as np
 import pytest
 
-from coopqp.model.joint_limits import JointLimits
+from coopqp import JointLimits
 from coopqp.planning.route.duration import estimated_duration
 from coopqp.planning.route.edges import Samples, Stop, Walked
 from coopqp.planning.route.sampling import rounded, samples_of

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from coopqp.model.joint_limits import JointLimits
+from coopqp import JointLimits
 from coopqp.planning.route.duration import estimated_duration, estimated_squares
 
 
