@@ -165,9 +165,9 @@ class Clearance:
         return tuple(replace(self.labels[k], distance=d) for d, k in sorted(found) if d < least[k])
 
     def _overlaps(self) -> tuple[BindingLimit, ...]:
-        """Pairs that overlap with a moving body where rows were asked, the deepest first."""
-        distances, pairs = self._step.clearances + self._margins, self._moving.pairs
-        found = pairs[(distances[pairs] < 0.0) & ~self._inside[pairs]]
+        """Pairs that overlap where rows were asked, the deepest first; those that may start inside left out."""
+        distances = self._step.clearances + self._margins
+        found = np.flatnonzero((distances < -SMALL_CLEARANCE) & ~self._inside)
         return tuple(replace(self.labels[k], distance=distances[k]) for k in found[distances[found].argsort()])
 
     def _pair(self, k: int, distance: float) -> NearPair:
@@ -226,8 +226,8 @@ class Clearance:
         """Rows of the pairs that are near, and their labels.
 
         Raises:
-            ConstraintTrouble: the place of a moving body was not told for too long, or it overlaps; with the rows for
-                the last place that was told.
+            ConstraintTrouble: the place of a moving body was not told for too long, or bodies overlap while there is
+                one; with the rows for the last place that was told.
         """
         late = self._moving.grow_old(dt, self.patience)
         rows = self._rows(q, dt, blind=blind)

@@ -990,15 +990,38 @@ def test_a_body_that_comes_on_is_named_and_an_overlap_holds(lift: Scenario, kern
         distance = clearance.measured(limit, step.q).distance
         assert distance is not None
         inside, named = distance < MARGIN - 1e-6, limit in step.binding
-        kinds.add((inside, distance < 0.0))
+        overlaps = distance < -1e-6
+        kinds.add((inside, overlaps))
         assert named or not inside, (i, distance, step)
         if inside:
             assert "object and cart" in step.reason, (i, distance, step)
-        assert (step.status is Status.HOLDING) == (distance < 0.0), (i, distance, step)
-        if distance < 0.0:
+        assert (step.status is Status.HOLDING) == overlaps, (i, distance, step)
+        if overlaps:
             assert step.cause is Cause.CLEARANCE
             assert "overlap" in step.reason
     assert kinds == {(False, False), (True, False), (True, True)}
+
+
+def test_links_that_overlap_hold_while_a_body_moves(lift: Scenario) -> None:
+    """Arms that give way to a body may have no room left but each other's."""
+    scene = scene_of(lift, moving=[Body("cart", Sphere(0.1), pin.SE3(np.eye(3), np.array([5.0, 0.0, 0.0])))])
+    clearance = Clearance(scene, give_way=True)
+    clearance.check(lift.q_start)
+    rng, cell, found = np.random.default_rng(0), lift.cell, 0
+    for _ in range(30):
+        q = cell.configuration(cell.positions(lift.q_start) + rng.uniform(-1.5, 1.5, cell.nv))
+        limits = [clearance.measured(limit, q) for limit in clearance.labels if limit.between]
+        deep = [limit for limit in limits if limit.distance is not None and limit.distance < -1e-3]
+        clearance.move("cart", pin.SE3(np.eye(3), np.array([5.0, 0.0, 0.0])))
+        if not deep:
+            clearance.rows_by_label(q, 0.004, blind=True)
+            continue
+        found += 1
+        worst = min(deep, key=lambda limit: limit.distance or 0.0)
+        with pytest.raises(ConstraintTrouble, match=f"{worst.between[0]} and {worst.between[1]} overlap by") as raised:
+            clearance.rows_by_label(q, 0.004, blind=True)
+        assert raised.value.cause is Cause.CLEARANCE
+    assert 0 < found < 30
 
 
 @pytest.mark.parametrize("kernel", slow_but_first(KERNELS))
@@ -1089,7 +1112,7 @@ def test_bad_tables_are_named(tmp_path: Path, old: str, new: str, said: str) -> 
 
 
 def test_bodies_that_overlap_have_a_finite_depth(lift: Scenario) -> None:
-    # coal's search of the depth fails for one in some thousand overlaps, and answers −1.8e308.
+    # coal's search of a depth may fail, and then answers −1.8e308.
     distances = Distances(CollisionScene.of(lift).built)
     distances._results = [SimpleNamespace(min_distance=-np.finfo(float).max) for _ in distances._results]  # type: ignore[misc]
     d = distances.all(lift.q_start)

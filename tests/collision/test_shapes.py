@@ -17,6 +17,7 @@ from coopqp import CollisionScene, InvalidInputError
 from coopqp.collision import Body, Box, Capsule, Cylinder, Hull, Mesh, PairRules, Sphere, coal_geometry
 from coopqp.collision.coal_geometry import convex, core_shape, geometry_of, hull_of, reach_of
 from coopqp.collision.convex_shapes import convex_parts
+from coopqp.collision.distances import new_request
 from coopqp.collision.pairs import Names, as_pair, ignored_line, pairs_said, srdf_pairs
 from coopqp.errors import UnknownNameError
 from coopqp.scenarios import plate_and_post
@@ -400,3 +401,38 @@ def test_parts_that_miss_their_mesh_are_named(decomposer: Decomposer, tmp_path: 
     decomposer.parts = [0.1 * two[:8], 0.1 * two[8:] - [0.0, 0.0, 0.003]]
     scene = CollisionScene.of(task, obstacles=[rock], decompose=["rock"])
     assert scene.notes == ("the 2 convex parts of rock miss its mesh by 3 mm",)
+
+
+# -- how deep bodies overlap -----------------------------------------------------------------------------------------
+
+
+def random_shape(rng: np.random.Generator) -> Any:
+    """A convex body of a few decimetres."""
+    radius, length = rng.uniform(0.03, 0.1), rng.uniform(0.1, 0.4)
+    kind = int(rng.integers(4))
+    if kind == 3:
+        return hull_of(rng.normal(size=(30, 3)) * rng.uniform(0.03, 0.15), "hull")
+    made = (coal.Cylinder(radius, length), coal.Capsule(radius, length), coal.Box(*rng.uniform(0.05, 0.3, 3)))
+    return made[kind]
+
+
+def test_bodies_that_overlap_touch_once_they_are_moved_apart_by_their_depth() -> None:
+    rng, overlaps = np.random.default_rng(3), 0
+    pin.seed(3)
+    for _ in range(3000):
+        shapes = [random_shape(rng) for _ in range(2)]
+        turns = [pin.SE3.Random().rotation for _ in range(2)]
+        first, second = rng.uniform(-0.15, 0.15, (2, 3))
+        found = []
+        for _ in range(2):
+            result = coal.DistanceResult()
+            places = [coal.Transform3s(R, p) for R, p in zip(turns, (first, second), strict=True)]
+            found.append(coal.distance(shapes[0], places[0], shapes[1], places[1], new_request(), result))
+            if found[0] >= 0.0:
+                break
+            second = second - found[0] * result.normal
+        if found[0] < 0.0:
+            overlaps += 1
+            assert found[0] > -0.6
+            assert abs(found[1]) < 1e-5
+    assert overlaps > 1000

@@ -65,7 +65,7 @@ class BrakingRows:
             *(BindingLimit(arm, joint, LimitKind.ACCELERATION) for arm, joint in names),
         )
 
-    def rows(self, q: Array, v: Array, h: float, about: Array, *, gives_way: bool = False) -> Rows:
+    def rows(self, q: Array, v: Array, h: float, about: Array, *, gives_way: bool = False, hold: bool = False) -> Rows:
         """The rows that may bind the next velocities, v⁺.
 
         Args:
@@ -74,6 +74,7 @@ class BrakingRows:
             h: length of the next step [s].
             about: origin of the object (3,) [m].
             gives_way: the arms have left their path to give way.
+            hold: the arms come to rest, for one, as a body overlaps them: there is nothing left to avoid.
         """
         chain, limits, speed = self._chain, self._chain.cell.limits, np.abs(v)
         chain.evaluate(q, about)
@@ -94,7 +95,7 @@ class BrakingRows:
         )
         some = np.abs(G) @ reach > np.minimum(upper, -lower)  # no admissible velocity breaks the others
         soft = np.full(len(G), GIVES_WAY)
-        if gives_way:
+        if gives_way and not hold:
             soft[-1] = BEND_GIVES_WAY
         return Rows(G[some], lower[some], upper[some], soft[some], owner[some])
 

@@ -435,8 +435,9 @@ class PlainLoop:
             else:
                 along = self._along(seen.pose, ahead, s.clock, span)
         if self._brakes_together:
+            about, gives_way = seen.carried[0].translation, self._gives_way
             further = further.and_also(
-                self._braking.rows(s.q, s.v, h, seen.carried[0].translation, gives_way=self._gives_way)
+                self._braking.rows(s.q, s.v, h, about, gives_way=gives_way, hold=seen.watch.hold)
             )
         null_along, null_offset = self._null_space_reference(span, hold=seen.watch.hold)
         if self._chain.apart:
