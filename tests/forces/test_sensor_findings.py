@@ -23,6 +23,7 @@ TOLERANCE, LATEST = 10.0, 0.028
 WEIGHT = np.array([0.0, 120.0, 160.0, 4.0, -3.0, 2.0])
 RATIO = 1.4
 UP = (0.0, 1.0, 0.0)
+TURNED = "its axes are turned by 90° about (-0.6, 0, 0.8) of the tool"
 LATE = "its wrenches come 41 ms after their causes, above 28 ms: give delay"
 
 
@@ -133,7 +134,7 @@ def test_right_sensors_are_right(weight: Array | None, unbalanced: float) -> Non
         ({"gains": {1: (-2.0, 1.0)}}, ["its forces have the wrong sign", "its forces are 2 times the real ones"]),
         ({"rotations": {1: about(UP, 19.5)}}, []),
         ({"rotations": {1: about(UP, 20.6)}}, ["its axes are turned by 21° about (0, 1, 0) of the tool"]),
-        ({"rotations": {1: about((-0.6, 0, 0.8), 90)}}, ["its axes are turned by 90° about (-0.6, 0, 0.8) of the tool"]),
+        ({"rotations": {1: about((-0.6, 0, 0.8), 90)}}, [TURNED]),
         ({"lost": np.array([0.44, 0.44, 0.44])}, []),
         ({"lost": np.array([0.0, 0.46, 0.0])}, ["46 % of its samples are lost"]),
         ({"misfit": np.array([0.0, 0.34, 0.0])}, []),
