@@ -177,7 +177,6 @@ def judge(
             accepted += float(load_doubt[k] * np.linalg.norm(carried[k, :3]))
             said = _off(biases[k], drifts[k], accepted)
         late = bool(fit.delays[k] > latest and alive[k].any() and not undecided)
-        alone = late and not said
         if late:
             after, most = 1e3 * fit.delays[k], 1e3 * latest
             said.append(f"its wrenches come {after:.0f} ms after their causes, above {most:.0f} ms: give delay")
@@ -199,7 +198,7 @@ def judge(
                 lost=float(fit.lost[k]),
                 problems=tuple(said),
                 undecided=undecided,
-                late=alone and len(said) == 1,
+                late=late and len(said) == 1,
             )
         )
     return SensorJudgement(findings=tuple(found), stiffer=stiffer, arms_stiffer=fit.stiffer)
