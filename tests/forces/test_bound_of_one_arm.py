@@ -83,7 +83,6 @@ def test_more_directions_leave_less_of_what_is_admissible(arm: Arm) -> None:
         assert len(corners) == directions + 2
         shares.append(ConvexHull(corners / scale, qhull_options="QJ").volume / whole)
     assert 0.2 < shares[0] <= shares[1] + 1e-6
-    assert shares[1] > 0.85
     assert 0.97 < shares[2] < 1.01
     assert LoadBound(arm.load).directions == 9
     assert LoadBound(arm.load, directions=1).directions == 3
