@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from coopqp.forces import SensorJudgement
-from coopqp.forces.presses import MOST_MOTION, PRESS_FORCE, PressPlan, balancing, of_grip
+from coopqp.forces.presses import MOST_MOTION, PressPlan, balancing, of_grip
 from coopqp.forces.sensor_check import SensorCheck
 from coopqp.model import CellState
 from coopqp.scenarios import paper_lift, ring
@@ -138,7 +138,7 @@ def test_each_arm_presses_in_turn_along_ways_that_are_square_to_each_other(arms:
     for k in range(arms):
         pressed, all_of = pushes[:, k, k], pushes[:, k]
         forces, torques = pressed[:, :3], pressed[:, 3:]
-        np.testing.assert_allclose(np.linalg.norm(forces, axis=1) / np.linalg.norm(torques, axis=1), PRESS_FORCE)
+        np.testing.assert_allclose(np.linalg.norm(forces, axis=1) / np.linalg.norm(torques, axis=1), 6.0)
         for part in (forces, torques):
             unit = part / np.linalg.norm(part, axis=1)[:, None]
             np.testing.assert_allclose(unit @ unit.T, np.eye(each), atol=1e-9)
