@@ -183,8 +183,8 @@ def test_wrist_sensors_read_as_they_are_described(paper: Scenario) -> None:
         ({"delay": -1e-9}, "delay"), ({"delay": np.inf}, "delay"),
     ):  # fmt: skip
         with pytest.raises(InvalidInputError, match=f"WristSensor: {named}"):
-            WristSensor(**settings)  # type: ignore[arg-type]
-    for gains in ({"force_gain": 0.0}, {"torque_gain": 0.0}):
+            WristSensor(**settings)
+    for dead in ("force_gain", "torque_gain"):
         with pytest.raises(InvalidInputError, match="the sensor of arm slave_1 is dead"):
-            SensorMaps(paper.cell, {"slave_1": WristSensor(**gains)}).check()
+            SensorMaps(paper.cell, {"slave_1": WristSensor(**{dead: 0.0})}).check()  # type: ignore[arg-type]
     SensorMaps(paper.cell, {"slave_1": WristSensor(force_gain=1e-6)}).check()
