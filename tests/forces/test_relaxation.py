@@ -9,7 +9,7 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from coopqp import ForceController, ForceOptions, QPController, Status
+from coopqp import ForceController, ForceOptions, Grasp, InvalidInputError, QPController, Status, inverse_kinematics
 from coopqp.control.core.allow_plain import BY_RELEASE, NOTHING_MORE
 from coopqp.control.core.relax_plain import minding_views
 from coopqp.forces import Grip, internal_wrenches
@@ -203,6 +203,52 @@ def test_how_far_grasps_are_is_a_share_of_their_reach() -> None:
     assert made.far(shift) == pytest.approx(0.5)
     assert made.far(3.0 * shift[::-1] * [1, 1, 1, 0.1, 1, 0.1]) == pytest.approx(1.5)
     assert made.far(shift * [0.0, 0.0, 0.0, 2.0, 2.0, 2.0]) == pytest.approx(0.6)
+
+
+def held_off(made: Relaxation, offs: dict[int, Array], task: Any) -> Array:
+    """Where the arms are if some of them hold the object elsewhere than told, shifted in its frame."""
+    tools = [pin.exp6(offs.get(k, np.zeros(6))) * X for k, X in enumerate(task.grasp.T_object_tool)]
+    return np.asarray(
+        inverse_kinematics(task.cell, Grasp(tuple(tools)), task.path.pose(0.0), task.q_start, limits=False)
+    )
+
+
+def test_grasps_begin_where_the_arms_hold_the_object() -> None:
+    """Less the common motion; one that is out of reach is named, with its distance and angle and what may be."""
+    made = relaxation(reach=0.01, turn=0.02)
+    d = np.array([1e-4, -2e-4, 3e-4, 1e-4, 2e-4, -1e-4])
+    expected = (apart(SHARES) @ np.r_[np.zeros(6), d, np.zeros(6)]).reshape(3, 6)
+    np.testing.assert_allclose(made.found(held_off(made, {1: d}, LIFT)), expected, atol=3e-7)
+    far = {1: np.array([0.0, 0.012, 0.0, 0.0, 0.0, 0.0]), 2: np.array([0.0, 0.0, 0.0, 0.06, 0.0, 0.0])}
+    with pytest.raises(InvalidInputError, match=r"arm slave_2 holds .* out of reach \(10 mm, 1\.15") as refused:
+        made.found(held_off(made, far, LIFT))
+    expected = (apart(SHARES) @ np.r_[np.zeros(6), far[1], far[2]]).reshape(3, 6)
+    size, angle = np.linalg.norm(expected[2, :3]), np.linalg.norm(expected[2, 3:])
+    assert f"{1e3 * size:.1f} mm and {np.rad2deg(angle):.2f}°" in str(refused.value)
+    with pytest.raises(InvalidInputError, match="arm slave_1 holds"):
+        made.found(held_off(made, {1: 5.0 * far[1]}, LIFT))
+    assert np.abs(made.found(held_off(made, {1: np.array([0.0, 0.013, 0.0, 0.0, 0.0, 0.0])}, LIFT))).max() < 0.01
+
+
+def test_palms_that_slid_out_of_reach_keep_their_places() -> None:
+    made = of_palms(reach=0.01)
+    near, far = (np.array([0.0, y, 0.0, 0.0, 0.0, 0.0]) for y in (0.006, 0.015))
+    shift = made.found(held_off(made, {1: near}, PALMS))
+    np.testing.assert_allclose(shift, [np.zeros(6), near], atol=1e-6)
+    assert not made.found(held_off(made, {1: far}, PALMS)).any()
+
+
+def test_sensors_are_pressed_where_all_arms_can_press_all_ways() -> None:
+    """Not by palms, nor where they keep places, or some do not hold, or nobody wants it."""
+    assert relaxation().sensor_check(LIFT.q_start, DT) is not None
+    mind = np.ones((3, 6))
+    mind[1, 2] = 0.0
+    for made in (relaxation(presses=False), relaxation(directions=mind)):
+        assert made.sensor_check(LIFT.q_start, DT) is None
+    assert of_palms().sensor_check(PALMS.q_start, DT) is None
+    some = relaxation()
+    some.take_holding((True, True, False), (True, True, False), STILL, LIFT.q_start)
+    assert some.sensor_check(LIFT.q_start, DT) is None
 
 
 # -- what touches the object ---------------------------------------------------------------------------------------
