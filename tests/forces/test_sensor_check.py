@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from coopqp import Cause, ControlStep, ForceController, HoldPath, QPController, Status
 from coopqp.forces import SensorJudgement
 from coopqp.forces.presses import MOST_MOTION, PressPlan, balancing, of_grip
 from coopqp.forces.sensor_check import SensorCheck
@@ -244,3 +245,73 @@ def test_forces_that_grow_by_themselves_disturb_a_check(stiffer: float) -> None:
         ready = 20.0 / rate / stiffer if stiffer == 1.0 or 20.0 / rate > 0.72 else 20.0 / rate
         assert seen == pytest.approx(max(ready, 0.0) if stiffer == 1.0 else max(ready, 0.72 - DT), abs=3.5 * DT)
     assert not Start().check.disturbed
+
+
+# -- in the controller -----------------------------------------------------------------------------------------------
+
+
+def started(
+    *, gains: Any = 1.0, late: int = 1, grows: float = 0.0, stiffer: float = 1.0
+) -> tuple[ForceController, list[ControlStep]]:
+    """A controller whose arms press at rest on servos in closed form, until they relax or stop; its steps."""
+    held = HoldPath(LIFT.path.pose(0.0), duration=100.0)
+    options = {"supervision": {"slow_from": None}}
+    inner = QPController(LIFT.cell, LIFT.grasp, held, dt=DT, options=options)
+    made = ForceController(inner, {"stiffness": STIFF, "delay": 0.02, "relax_time": 0.12})
+    made.reset(LIFT.q_start)
+    G, q, told, steps = of_grip(SOFT / stiffer), LIFT.q_start, list[Array](), list[ControlStep]()
+    size = np.broadcast_to(np.asarray(gains, dtype=float), 3)[:, None]
+    for i in range(280):
+        moved = (q - LIFT.q_start).reshape(3, 6)
+        at = np.einsum("kij,kj->ki", TWISTS, moved) + STRESS
+        at[1, 1] += grows * i * DT
+        pushed = np.einsum("kij,kj->ki", TO_TOOLS, (G @ at.ravel()).reshape(3, 6))
+        bent = np.concatenate([J.T @ w / (STIFF * stiffer) for J, w in zip(JACOBIANS, pushed, strict=True)])
+        told.append(size * pushed)
+        steps.append(made.step(q - bent, wrenches=told[max(i - late, 0)]))
+        q = steps[-1].q_next
+        if made.sensors is not None and len(steps) > 230:
+            break
+    return made, steps
+
+
+def test_a_controller_takes_what_the_presses_find() -> None:
+    """The stiffness of all servos; then the arms relax from where they were, and the object begins to move."""
+    made, steps = started(stiffer=1.8)
+    assert made.sensors is not None
+    assert made.sensors.fine, made.sensors.explain()
+    assert made.stiffer == pytest.approx(1.8, rel=0.03)
+    assert made.stiffer == made.sensors.stiffer
+    assert any("relax before the object moves" in step.reason for step in steps)
+    assert not any("more slowly" in step.reason or step.status is Status.HOLDING for step in steps)
+
+
+def test_a_controller_says_what_is_wrong_with_a_sensor_and_holds_the_object() -> None:
+    made, steps = started(gains=(1.0, -1.0, 1.0))
+    assert made.sensors is not None
+    assert [finding.fine for finding in made.sensors.findings] == [True, False, True]
+    assert steps[-1].status is Status.HOLDING
+    assert steps[-1].cause is Cause.SENSOR
+    assert made.sensors.explain() in steps[-1].reason
+    assert "the sensor of arm slave_1: its forces and torques have the wrong sign" in steps[-1].reason
+
+
+@pytest.mark.parametrize(("late", "slower"), [(4, True), (9, False)])
+def test_a_controller_relaxes_more_slowly_for_late_wrenches_up_to_a_limit(late: int, slower: bool) -> None:
+    """80 ms late, they are relaxed slowly; 180 ms late, the object is held."""
+    made, steps = started(late=late)
+    assert made.sensors is not None
+    assert made.sensors.latest == pytest.approx(late * DT, abs=2e-3)
+    told = [step.reason for step in steps if "forces relax more slowly" in step.reason]
+    assert bool(told) == slower
+    assert (steps[-1].status is Status.HOLDING) != slower
+    assert "its wrenches come" in (told[-1] if told else steps[-1].reason)
+
+
+def test_where_forces_grow_by_themselves_a_controller_compares_sensors_at_rest() -> None:
+    """Without a judgement; the reasons say so one after another."""
+    made, steps = started(grows=2e-3)
+    assert made.sensors is None
+    words = [step.reason.partition(":")[0] for step in steps]
+    pressed = words.index(next(text for text in words if text.startswith("the arms press")))
+    assert "the sensors are compared with the servos" in words[pressed:]
