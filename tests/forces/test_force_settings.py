@@ -193,7 +193,7 @@ def test_wrist_sensors_read_as_they_are_described(paper: Scenario) -> None:
 def test_forces_are_relaxed_as_told_by_default() -> None:
     """What programs that give only the stiffness rely on: times [s], forces [N], speeds and reach [m, rad]."""
     options = ForceOptions(stiffness=1e4)
-    expected = {
+    expected: dict[str, Any] = {
         "softness_doubt": 1.5, "relax_time": 0.06, "drift_time": 0.1, "delay": 0.01, "filter_time": 0.02,
         "dead_band": 1.0, "speed": 0.02, "spin": 0.05, "ramp_time": 0.1, "reach": 0.01, "turn": 0.02,
         "check_time": 0.2, "sensor_tolerance": 10.0, "move_below": 5.0, "slow_from": 20.0, "hold_from": 50.0,
