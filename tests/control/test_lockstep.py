@@ -15,7 +15,7 @@ import pytest
 from cells import grasp_at, on_another_joint
 from hypothesis import settings
 from marks import slow_but_first, slow_unless
-from runs import limited_once
+from runs import hurried, limited_once
 from torsos import robot_of
 from user_paths import Marked
 
@@ -36,6 +36,7 @@ from coopqp import (
     check_path,
 )
 from coopqp.collision import Body, Box, Clearance, CollisionScene
+from coopqp.control import RankWeights
 from coopqp.model import CellState
 from coopqp.native import available_kernels
 from coopqp.scenarios import (
@@ -274,6 +275,11 @@ def uneven(cell: RobotCell, nominal: float) -> Inputs:
     return give
 
 
+def two_arms() -> Scenario:
+    """The smallest ring."""
+    return ring(arms=2)
+
+
 #: Straight up, two arms would meet the same limit at once, and rounding would choose the one that is named.
 ASKEW = at_limit(direction=(0.1, 0.05, 1.0))
 MODES: dict[str, tuple[dict[str, Any], Callable[[Scenario, float], Inputs | None]]] = {
@@ -328,6 +334,86 @@ def test_both_agree_in_short(mode: str) -> None:
         run_in(mode, ready(name), 120)
     if "stalls" not in mode:
         assert run_in(mode, ASKEW, 150).seen >= {Status.SLOWED}
+
+
+#: What a mode shows within 70 steps, beside tracking.
+SHOWS = {"one arm lags": Status.SLOWED, "no drift let in": Status.SLOWED, "samples corrupted": Status.HOLDING}
+SHOWS |= dict.fromkeys(("uneven steps", "an arm stalls", "no watch of distances"), Status.HOLDING)
+SHOWS |= {"forces watched, an arm stalls": Status.HOLDING}
+
+
+@pytest.mark.core
+@pytest.mark.parametrize("mode", [mode for mode in MODES if mode not in IN_SHORT])
+def test_both_agree_for_a_moment(mode: str) -> None:
+    acceleration = 5.0 if list(MODES).index(mode) % 2 else np.inf
+    seen = run_in(mode, limited_once(two_arms, acceleration), 70, same=DISTURBED).seen
+    assert SHOWS.get(mode, Status.TRACKING) in seen
+
+
+@pytest.mark.core
+@pytest.mark.parametrize("acceleration", [np.inf, 8.0])
+def test_both_agree_with_all_settings_changed(acceleration: float) -> None:
+    """A setting that only one of them takes would part them."""
+    task = hurried(limited_once(dual_arm7, acceleration), 0.8)
+    watch = SupervisionOptions(
+        slow_from=2e-4, hold_from=9e-4, let_in=1e-3, noise_margin=2.0, recovery_time=0.05, filter_time=4e-3,
+        stall_samples=3, stall_share=0.3, silent_time=0.02, dt_range=(0.4, 2.0), joint_jump=0.1, apart_from=1e-3,
+        stiffness=tuple(np.linspace(2e3, 4e4, task.cell.nv)), force_limit=400.0, servo_delay=5e-3,
+    )  # fmt: skip
+    weights = RankWeights(
+        chain=1e7, off_path=2e4, recovery=5e5, grasp=2.0, path=3e-2, rate=2e-4, posture=4e-6, length=0.2
+    )
+    run = pair(
+        task, dt=0.006, supervision=watch, weights=weights, shortcut=False, grasp_gain=12.0, path_gain=7.0,
+        correction_speed=0.02, correction_spin=0.05, measurement_time=0.03, blocked_rate=5e-3,
+        posture=PostureOptions(gain=0.7, centring=0.2, manipulability=0.05, speed_share=0.1),
+        preview=PreviewOptions(cell=0.04, joint_step=0.08, margin=0.85, rate_slope=6.0, curvature_share=0.6),
+        off_path_distance=2e-4, off_path_angle=1e-3,
+    )  # fmt: skip
+    run.same = DISTURBED
+    given = noisy(task.cell, size=4e-4)
+    run.both(lambda c: c.set_override(0.9))
+    for i in range(60):
+        q, _ = given(i, run.told)
+        if i == 40 and q is not None:
+            q[0] += 0.15  # not believed
+        run.take(q, {20: 0.002, 21: 0.0025, 22: 0.013, 23: 0.0119}.get(i))
+    run.compare()
+    assert run.seen >= {Status.HOLDING, Status.SLOWED}
+    assert run.lowest < 0.9
+
+
+@pytest.mark.core
+def test_both_take_measurements_of_any_kind_of_array() -> None:
+    """Lists, other numbers, arrays that are strided: what is measured is the same."""
+    task = limited_once(two_arms, np.inf)
+    run = pair(task, dt=0.01)
+    kinds: list[Callable[[Array], Any]] = [
+        list, tuple, np.float32, lambda q: np.repeat(q, 2)[::2], np.asfortranarray, lambda q: [*q, 0.0],
+        lambda q: "far", lambda q: q.astype(object), lambda q: q[:-1],
+    ]  # fmt: skip
+    for kind in kinds:
+        step = run.take()
+        away = task.cell.moved(step.q_next, np.full(task.cell.nv, 1e-4))
+        given = kind(away)
+        run.take(given)
+    run.compare()
+    assert Status.HOLDING in run.seen
+
+
+@pytest.mark.filterwarnings("ignore::coopqp.errors.StartWarning")
+@pytest.mark.core
+@pytest.mark.parametrize("solver", ["ldp", "daqp"])
+def test_both_agree_with_another_solver_while_joints_are_led_back(solver: str) -> None:
+    task = halfway(limited_once(two_arms, np.inf), until=0.1)
+    limits, q = task.cell.limits, task.cell.positions(task.q_start)
+    lower, upper = limits.lower.copy(), limits.upper.copy()
+    lower[1], upper[8] = q[1] + 2e-3, q[8] - 5e-3
+    cell = task.cell.with_limits(lower=lower, upper=upper, velocity=np.minimum(limits.velocity, 1.0))
+    run = pair(dataclasses.replace(task, cell=cell), dt=0.005, solver=solver, shortcut=False)
+    run.same = 1e-7
+    run.run(20)
+    assert (cell.positions(run.told[0]) < lower).any()
 
 
 #: Scenarios whose arms have fewer than six joints, which the core leaves to the plain definition.
@@ -609,12 +695,12 @@ def test_both_agree_with_many_arms(arms: int, robot: Any) -> None:
         run_in(mode, task, 120)
 
 
-def halfway(task: Scenario) -> Scenario:
+def halfway(task: Scenario, until: float = 0.5) -> Scenario:
     """The second half of a scenario's path. Its start has no symmetry, which rounding could break either way."""
     controller = QPController(task.cell, task.grasp, task.path, dt=0.01)
     controller.reset(task.q_start)
     step = controller.step()
-    while step.clock_next < 0.5 * task.path.duration:
+    while step.clock_next < until * task.path.duration:
         step = controller.step()
     here, goal = task.path.pose(step.clock_next), task.path.pose(task.path.duration)
     path = LinePath(here, goal, duration=0.5 * task.path.duration)
