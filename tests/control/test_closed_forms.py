@@ -1,0 +1,507 @@
+"""Parts of a step and of its supervision, by closed forms and few lines of NumPy."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+import pinocchio as pin
+import pytest
+from cells import with_mismatch
+
+from coopqp import CommonError, InvalidInputError, Knot, LinePath, PreviewOptions, RobotCell, SupervisionOptions
+from coopqp.control import StallBound
+from coopqp.control.lookahead.options import PlanLimits
+from coopqp.control.lookahead.ramp_time import RampTime
+from coopqp.control.monitoring.commanded import ChainWatch, among_arms, expected
+from coopqp.control.monitoring.drift import carried_drift, from_others, mean_where
+from coopqp.control.monitoring.lag import excess_cap
+from coopqp.control.monitoring.noise import noise_seen
+from coopqp.control.monitoring.stress import StressWatch, servo_wrenches, whole_compliance
+from coopqp.control.monitoring.supervision import Supervision, grasp_lengths
+from coopqp.control.monitoring.watch import Watch, fall_gently
+from coopqp.control.operator.hands import BELT_FILTER, BELT_SILENCE, HAND_FILTER, LAG_GAIN, Clutch, Gear
+from coopqp.control.operator.trail import Trail
+from coopqp.control.speed_override import SpeedOverride, brake_without_horizon
+from coopqp.control.step.contact import Contact, filter_time, handed
+from coopqp.control.step.decoding import reason
+from coopqp.control.step.start import check_start, held_command, rate_into, start_warning
+from coopqp.control.step.verdict import too_close
+from coopqp.model import CellState
+from coopqp.model.limits import BindingLimit, LimitKind
+from coopqp.native import constants, layout
+from coopqp.paths.grasp_motion import GraspMotion
+from coopqp.scenarios import Scenario
+from coopqp.spatial import Array, skew
+
+# -- rates -------------------------------------------------------------------------------------------------------------
+
+
+def knot_of(task: Scenario, slope: Array) -> Any:
+    return Knot(0.0, CellState(task.cell, task.q_start), slope, 0.0 * slope)
+
+
+def test_arms_part_by_the_distance_at_the_rate_of_a_stall_bound(paper: Scenario, rng: np.random.Generator) -> None:
+    """v T/2 + n dt v with the fastest grasp and the joint that takes longest to rest; 5 samples by default."""
+    cell = paper.cell.with_limits(acceleration=rng.uniform(3.0, 9.0, paper.cell.nv))
+    task = Scenario("", cell, paper.grasp, paper.path, paper.q_start, 0.01)
+    state, slope = CellState(cell, task.q_start), rng.normal(size=cell.nv)
+    fastest = max(float(np.linalg.norm((state.jacobian(k) @ slope[own])[:3])) for k, own in enumerate(cell.columns))
+    longest = float((np.abs(slope) / cell.limits.acceleration).max())
+    for samples, known in ((None, 5), (2, 2)):
+        for distance in (1e-3, 0.02):
+            factors, fixed, squares = StallBound(distance, dt=0.01, samples=samples).lines(knot_of(task, slope))
+            rate = math.sqrt(squares.item())
+            parted = rate * fastest * (0.5 * rate * longest + known * 0.01)
+            assert parted == pytest.approx(distance, rel=1e-9)
+            assert (factors.tolist(), fixed.tolist()) == ([1.0], [0.0])
+    for array in StallBound(0.01, dt=0.01).lines(knot_of(task, 0.0 * slope)):
+        assert array.shape == (0,)  # who rests may go on at any rate
+    assert StallBound(0.01, dt=0.01).name == "stall"
+
+
+def test_the_rate_into_another_path_is_the_closest_one(rng: np.random.Generator) -> None:
+    """By a search over all rates; rotation weighs with the length."""
+    rates = np.linspace(0.0, 1.0, 100_001)
+    for length in (0.1, 1.0):
+        weights = np.repeat([1.0, length], 3)
+        for _ in range(5):
+            now, ahead = rng.normal(size=(2, 6))
+            found = rate_into(0.6, now, ahead, length=length)
+            off = np.linalg.norm((0.6 * now - rates[:, None] * ahead) * weights, axis=1)
+            assert found == pytest.approx(rates[off.argmin()], abs=1e-4)
+        assert rate_into(0.6, now, 2.0 * now, length=length) == pytest.approx(0.3)
+        assert rate_into(0.6, now, 0.5 * now, length=length) == 1.0
+        assert rate_into(0.6, now, -now, length=length) == 0.0
+    both = np.array([now, np.zeros(6)]), np.array([2.0 * now, np.zeros(6)])  # of tools on the object, too
+    assert rate_into(0.6, *both, length=0.3) == pytest.approx(0.3)
+    rest = np.full(6, 1e-8)
+    assert rate_into(0.6, rest, rest, length=0.3) == 0.6
+    assert rate_into(0.6, now, rest, length=0.3) is None
+    assert rate_into(0.6, rest, now, length=0.3) == pytest.approx(0.0, abs=1e-6)
+    assert rate_into(0.0, now, now, length=0.3) is None
+
+
+def test_joints_brake_together_by_the_one_that_takes_longest() -> None:
+    acceleration = np.array([2.0, 8.0])
+    assert brake_without_horizon(np.array([0.3, -0.8]), acceleration, 0.5) == pytest.approx(0.5 / 0.15)
+    assert brake_without_horizon(np.array([0.1, -0.8]), acceleration, 0.5) == pytest.approx(0.5 / 0.1)
+    assert brake_without_horizon(np.array([4.0, 0.0]), acceleration, 1.0) == pytest.approx(0.5)
+    assert brake_without_horizon(np.zeros(2), acceleration, 0.5) == np.inf
+
+
+def test_the_null_space_motion_fades_while_paused_and_comes_back() -> None:
+    reins = SpeedOverride(override=0.7)
+    assert reins.share == 0.7
+    reins.advance(1e-3, 0.4)
+    assert reins.ease == 1.0
+    reins.paused = True
+    assert reins.share == 0.0
+    for expected_ease in (0.6, 0.2, 0.0):
+        reins.advance(1e-3, 0.4)
+        assert reins.ease == pytest.approx(expected_ease)
+    assert (reins.started(1e-3).ease, reins.started(1e-3).paused, reins.started(1e-3).override) == (0.0, True, 0.7)
+    reins.paused = False
+    for expected_ease in (0.4, 0.8, 1.0, 1.0):
+        reins.advance(1e-3, 0.4)
+        assert reins.ease == pytest.approx(expected_ease)
+    assert reins.started(0.7).ease == 1.0  # at the blocked rate it still goes
+    assert reins.started(0.71).ease == 0.0
+
+
+@pytest.mark.parametrize("limited", [True, False])
+def test_a_change_of_motion_takes_as_long_as_the_joints_need(paper: Scenario, limited: bool) -> None:
+    acceleration = np.linspace(2.0, 8.0, 18) if limited else np.inf
+    speed = np.where(np.arange(18) == 4, np.inf, np.linspace(1.0, 3.0, 18))
+    cell, dt = paper.cell.with_limits(acceleration=acceleration, velocity=speed), 0.01
+    plan = PlanLimits.of(cell, PreviewOptions(), dt=dt)
+    usable, full = constants.CHANGE_SHARE * plan.acceleration, np.where(np.isfinite(speed), speed, 1.0)
+    ramp = RampTime(cell, paper.grasp, None, dt=dt)
+    np.testing.assert_allclose(ramp.stops, 0.0 if limited else full / usable)
+    state, origin = CellState(cell, paper.q_start), paper.path.pose(0.0)
+    unit = np.eye(6)
+    for k, own in enumerate(cell.columns):
+        R = state.T_world_tool[k].rotation
+        jacobian = np.vstack(
+            [R @ state.jacobian(k)[:3], R @ state.jacobian(k)[3:]]
+        )  # then moved to the object's origin
+        jacobian[:3] += skew(state.T_world_tool[k].translation - origin.translation) @ jacobian[3:]
+        times = ramp.at(paper.q_start, origin)[own] * usable[own][:, None]
+        np.testing.assert_allclose(jacobian @ times, unit, atol=1e-9)
+    jump = constants.LARGEST_JUMP * full
+    assert ramp.admits(0.999 * jump)
+    assert ramp.admits(-1.001 * jump) == limited
+
+
+# -- supervision -------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("filter_time", [0.0, 0.004])
+def test_the_cap_falls_in_a_line_from_where_it_slows_to_where_it_holds(paper: Scenario, filter_time: float) -> None:
+    """By the distance of an arm from the mean of the others, as a low-pass of first order lets it through."""
+    dt = 0.002
+    options = SupervisionOptions(
+        slow_from=3e-4, hold_from=1.1e-3, let_in=0.0, noise_margin=0.0, recovery_time=0.0, filter_time=filter_time,
+        stall_samples=None, fault_from=0.01,
+    )  # fmt: skip
+    for d in (1e-4, 2.9e-4, 5e-4, 7e-4, 9e-4, 1.3e-3):
+        watch, filtered = Supervision(paper.cell, paper.grasp, options), 0.0
+        for i in range(12):
+            away = np.zeros((3, 6))
+            away[2, 1] = d + 1e-12 * i
+            filtered += dt / (filter_time + dt) * (d - filtered)
+            seen = watch.watch(paper.q_start + 1e-9 * i, paper.q_start, away, dt)
+            expected_cap = float(np.clip((1.1e-3 - filtered) / 8e-4, 0.0, 1.0))
+            if i + 1 >= constants.FEW_SAMPLES:
+                assert seen.rate_cap == pytest.approx(expected_cap, abs=1e-6)
+                assert seen.hold == (expected_cap == 0.0)
+                assert (seen.arm, bool(seen.reason)) == ((2, True) if expected_cap < 1.0 else (-1, False))
+
+
+def test_noise_is_the_root_mean_square_of_second_differences(rng: np.random.Generator) -> None:
+    """A sixth of their square is that of the noise; motion at constant speed is none."""
+    last, step, square = np.zeros((2, 3)), np.zeros((2, 3)), np.zeros(2)
+    taken: list[Array] = []
+    for i in range(1, 400):
+        values = np.array([[0.02], [0.05]]) * i + np.array([[1e-3], [3e-3]]) * rng.normal(size=(2, 3))
+        taken.append(values)
+        noise = noise_seen(values, last, step, square, float(i))
+        if i > 2:
+            bends = np.diff(np.array(taken), n=2, axis=0)
+            mean = np.square(bends).sum(axis=2).mean(axis=0)
+            assert noise == pytest.approx(math.sqrt(mean.max() / 6.0))
+        else:
+            assert noise == 0.0
+    assert noise == pytest.approx(math.sqrt(3.0) * 3e-3, rel=0.15)
+    first = noise_seen(values, last, step, square, 400.0, np.array([True, False]))
+    assert first < 0.5 * noise  # only rows that count
+
+
+def test_arms_are_compared_with_those_that_hold(rng: np.random.Generator) -> None:
+    values = rng.normal(size=(4, 6))
+    holds = np.array([True, True, False, True])
+    apart = from_others(holds) @ values
+    for k in (0, 1, 3):
+        others = [j for j in (0, 1, 3) if j != k]
+        np.testing.assert_allclose(apart[k], values[k] - values[others].mean(axis=0), atol=1e-14)
+    assert not apart[2].any()
+    assert not from_others(np.array([False, True])).any()
+    np.testing.assert_allclose(mean_where(holds, values), values[[0, 1, 3]].mean(axis=0))
+    assert not mean_where(~np.ones(4, dtype=bool), values).any()
+
+
+def test_arms_that_go_on_are_as_far_out_of_step_as_before(rng: np.random.Generator) -> None:
+    values, drift = rng.normal(size=(2, 4, 6))
+    before, now = np.array([True, True, True, False]), np.array([False, True, True, True])
+    drift = from_others(before) @ drift
+    carried = carried_drift(values, drift, before, now)
+    out_of_step = from_others(now) @ values - carried
+    base = 2.0 / 3.0 * drift  # from the mean of the others to that of all
+    rest = values - base
+    away = rest - rest[[1, 2]].mean(axis=0)
+    away[3] = 0.0  # the one that attaches is where it is
+    np.testing.assert_allclose(out_of_step, from_others(now) @ away, atol=1e-12)
+    alone = carried_drift(values, drift, np.array([True, False, False, False]), now)
+    assert np.isfinite(alone).all()
+
+
+def test_a_cap_falls_within_its_time_and_a_fault_at_once() -> None:
+    for last, cap, fault, expected_cap in (
+        (1.0, 0.0, False, 1.0 - 0.01 / constants.CAP_FALLS), (1.0, 0.999, False, 0.999), (0.001, 0.0, False, 0.0),
+        (1.0, 0.0, True, 0.0),
+    ):  # fmt: skip
+        watch = Watch(cap, hold=cap == 0.0, fault=fault)
+        fall_gently(watch, last, 0.01)
+        assert watch.rate_cap == pytest.approx(expected_cap)
+        assert watch.hold == (expected_cap == 0.0)
+    for share in (0.0, 0.25, 1.0):
+        assert excess_cap(share * constants.LAG_HOLDS) == pytest.approx(1.0 - share)
+    assert excess_cap(-1.0) == 1.0
+    assert excess_cap(1.0) == 0.0
+
+
+@pytest.mark.parametrize("shared", [False, True])
+def test_wrenches_bend_the_servos_by_what_is_seen(shared: bool, rng: np.random.Generator) -> None:
+    own = np.array([a @ a.T + np.eye(6) for a in rng.normal(size=(3, 6, 6))])
+    common = rng.normal(size=(18, 4))
+    both = common @ common.T if shared else None
+    wrenches = rng.normal(size=(3, 6))
+    whole = np.zeros((18, 18)) if both is None else both.copy()
+    for k in range(3):
+        whole[6 * k : 6 * (k + 1), 6 * k : 6 * (k + 1)] += own[k]
+    if both is not None:
+        np.testing.assert_allclose(whole_compliance(own, both), whole, atol=1e-12)
+    bent = ((whole + constants.STRUCTURE * np.eye(18)) @ wrenches.ravel()).reshape(3, 6)
+    np.testing.assert_allclose(servo_wrenches(own, bent, both), wrenches, atol=1e-9)
+
+
+def test_forces_are_read_from_deflections_without_the_motion_of_the_delay(
+    paper: Scenario, rng: np.random.Generator
+) -> None:
+    """Arms that are late by the delay press nothing; a further deflection presses, through the filter."""
+    stiffness, dt, delay = np.full(18, 2e4), 0.004, 0.008
+    watch = StressWatch(paper.cell, paper.grasp, stiffness=stiffness, delay=delay, filter_time=0.012)
+    speed, bent = rng.normal(size=18) * 0.1, rng.normal(size=18) * 1e-4
+    speed[:12] *= 0.01
+    read = []
+    for i in range(12):
+        command = paper.q_start + dt * i * speed
+        watch.read(command - delay * speed * (i > 0) - bent, command, dt)
+        read.append(watch.forces.copy())
+    chain_bent = []
+    state = CellState(paper.cell, command)
+    for k, own in enumerate(paper.cell.columns):
+        J = state.jacobian(k)  # at the tool: the force is the same there
+        compliance = J @ np.diag(1.0 / stiffness[own]) @ J.T + constants.STRUCTURE * np.eye(6)
+        chain_bent.append(np.linalg.norm(np.linalg.solve(compliance, J @ bent[own])[:3]))
+    passed = 1.0 - 0.75 ** np.arange(1, 13)
+    np.testing.assert_allclose(read[-1], passed[-1] * np.array(chain_bent), rtol=5e-3)
+    watch.read(command - delay * speed - bent, command + dt * speed, dt, np.array([True, False, True]))
+    assert watch.forces[1] == 0.0
+
+
+def there(found: Array | None) -> Array:
+    """What is not None."""
+    assert found is not None
+    return found
+
+
+def test_commands_lead_arms_apart_by_what_no_one_asked_for(paper: Scenario, rng: np.random.Generator) -> None:
+    watch, lengths = ChainWatch(paper.grasp, 2e-4), grasp_lengths(paper.grasp)
+    start = rng.normal(size=(3, 6)) * 1e-3
+    first = watch.look(start, None, started=False, held=False)
+    assert first.distance == pytest.approx(0.0, abs=1e-15)
+    np.testing.assert_allclose(there(first.mismatch), among_arms(start))
+    half = watch.look(0.5 * start, first.mismatch, started=True, held=False)  # half of it is corrected
+    assert half.distance == pytest.approx(0.0, abs=1e-15)
+    np.testing.assert_allclose(there(half.mismatch), 0.5 * among_arms(start))
+    grown = watch.look(3.0 * start, first.mismatch, started=True, held=False)  # and what grows was not asked for
+    np.testing.assert_allclose(there(grown.mismatch), among_arms(start))
+    assert grown.distance > 1e-3
+    errors = np.zeros((3, 6))
+    errors[1, :3] = 1.8e-4, 0.0, 0.0
+    for held, holds in ((False, False), (True, True)):
+        seen = watch.look(errors, None, started=True, held=held)
+        assert seen.distance == pytest.approx(1.8e-4)
+        assert (seen.holds, seen.mismatch) == (holds, None)
+        assert 1 in seen.arms
+    turned = np.zeros((3, 6))
+    turned[2, 3] = 1e-3
+    far = np.linalg.norm(turned[2] @ lengths)
+    assert watch.look(turned, None, started=True, held=False).distance == pytest.approx(far)
+    assert ChainWatch(paper.grasp, None).look(errors * 1e3, None, started=True, held=False).holds is False
+    assert watch.look(errors[:1], None, started=True, held=False).distance == 0.0
+    asked = rng.normal(size=(3, 6))
+    assert expected(None, None, 0.3) is None
+    for mismatch, shift in ((start, None), (None, asked), (start, asked)):
+        whole = sum(part for part in (mismatch, shift) if part is not None)
+        np.testing.assert_allclose(there(expected(mismatch, shift, 0.3)), 0.7 * np.asarray(whole))
+
+
+# -- starts ------------------------------------------------------------------------------------------------------------
+
+
+def test_a_start_says_how_far_each_arm_is_from_the_path(paper: Scenario) -> None:
+    shares = CommonError.leaderless().shares(paper.cell)
+    pose, q = paper.path.pose(0.0), paper.q_start
+    assert start_warning(paper.cell, paper.grasp, shares, pose, q) == ()
+    task = with_mismatch(paper, 1, (0.0, 3e-3, 0.0))
+    off, beside = start_warning(task.cell, task.grasp, shares, pose, q)
+    assert off == "arm slave_1 started off its grasp: it is 2.00 mm off"
+    assert beside == "the object started off its path: it is 1.00 mm off"
+    assert start_warning(task.cell, task.grasp, shares, None, q) == (off,)
+    turned = with_mismatch(paper, 2, (0.0, 0.0, 0.0), (0.0, 0.0, np.deg2rad(1.2)))
+    assert "arm slave_2 started off its grasp" in start_warning(turned.cell, turned.grasp, shares, pose, q)[0]
+    moved = pin.SE3(pose.rotation, pose.translation + np.array([0.0, 0.0, 1e-3]))
+    assert start_warning(paper.cell, paper.grasp, shares, moved, q) == (
+        "the object started off its path: it is 1.00 mm off",
+    )
+    beyond = pin.SE3(pose.rotation, pose.translation + np.array([0.0, 0.03, 0.0]))
+    far = LinePath.displaced(beyond, translation=(0, 0, 0.1), duration=1.0)
+    with pytest.raises(InvalidInputError, match=r"arm 'master' holds the object 30\.0 mm and 0\.00° from the start of"):
+        check_start(paper.cell, paper.grasp, far, q)
+    with pytest.raises(InvalidInputError, match=r"from its path at 0\.5 s \(tolerance 20 mm, 3°\)"):
+        check_start(paper.cell, paper.grasp, paper.path, q, clock=0.5)
+    with pytest.raises(InvalidInputError, match=r"arm 'slave_2' .* 1\.20° .*tolerance 20 mm, 0\.5°"):
+        check_start(turned.cell, turned.grasp, paper.path, q, tolerance_rad=np.deg2rad(0.5))
+    given = check_start(paper.cell, paper.grasp, paper.path, np.array([q, q]), tolerance_m=1e-6, tolerance_rad=1e-6)
+    np.testing.assert_allclose(given, q)
+    assert not given.flags.writeable
+
+
+def test_what_robots_hold_is_near_what_is_measured(paper: Scenario) -> None:
+    q = paper.q_start
+    held = q.copy()
+    held[7] += 0.02
+    np.testing.assert_array_equal(held_command(paper.cell, q, held, 0.02 + 1e-12), held)
+    name = paper.cell.joint_names[7]
+    with pytest.raises(InvalidInputError, match=rf"joint {name} is measured 0\.02 rad \(or m\) from its command"):
+        held_command(paper.cell, q, held, 0.019)
+
+
+# -- contact -----------------------------------------------------------------------------------------------------------
+
+
+def letting_go(paper: Scenario) -> Contact:
+    """The second arm lets go at 1 s and holds again from 2 s on."""
+    motion = GraspMotion(
+        ((), (), ()), ((0.0, (True,) * 3), (1.0, (True, False, True)), (2.0, (True,) * 3)),
+        attach_m=1e-3, attach_rad=0.01,
+    )  # fmt: skip
+    return Contact(paper.cell, paper.grasp, motion)
+
+
+def test_changes_of_contact_are_due_once(paper: Scenario) -> None:
+    contact = letting_go(paper)
+    assert [contact.due(at, -1.0) for at in (0.5, 0.999, 1.0, 1.5)] == [False, False, True, True]
+    assert not contact.due(1.5, 1.0)
+    assert contact.due(2.0, 1.0)
+    assert contact.ahead(0.25) == pytest.approx(0.75)
+    assert contact.ahead(1.0) == pytest.approx(1.0)
+    assert contact.ahead(2.0) == np.inf
+
+
+def test_an_arm_attaches_where_it_grasps_only(paper: Scenario) -> None:
+    contact, here = letting_go(paper), paper.path.pose(0.0)
+    place = here * paper.grasp.T_object_tool[1]
+
+    def carried(far: float, turn: float) -> list[pin.SE3]:
+        """The second arm's tool is off its grasp by a way and a turn about itself."""
+        off = pin.SE3(pin.exp3(np.array([0.0, turn, 0.0])), np.array([far, 0.0, 0.0]))
+        return [here, place * off * paper.grasp.T_object_tool[1].inverse(), here]
+
+    for far, turn, refused in ((9e-4, 9e-3, False), (1.1e-3, 0.0, True), (0.0, 0.011, True), (0.0, 0.0, False)):
+        said = contact.refused(2.0, 1.5, carried(far, turn))
+        assert said == (
+            f"arm {paper.cell.arm_names[1]} is {1e3 * far:.2f} mm and {np.rad2deg(turn):.2f}° from its grasp where it "
+            "attaches (at most 1 mm and 0.57°)"
+            if refused
+            else ""
+        )
+    assert contact.refused(1.5, 0.5, carried(0.1, 0.0)) == ""  # it lets go
+    assert contact.refused(2.5, 2.2, carried(0.1, 0.0)) == ""  # it held before
+
+
+def test_fewer_arms_are_filtered_more_and_hand_over_without_a_jump(rng: np.random.Generator) -> None:
+    assert filter_time(0.1, [True] * 4) == pytest.approx(0.1)
+    assert filter_time(0.1, [True, False, True, False]) == pytest.approx(0.4)
+    before, now, away = rng.normal(size=(3, 3, 6))
+    np.testing.assert_allclose((now * away).sum(axis=0) + handed(now, before, away), (before * away).sum(axis=0))
+
+
+# -- hands, belts and trails -------------------------------------------------------------------------------------------
+
+
+def test_a_belt_is_followed_through_its_filter() -> None:
+    """A belt at constant speed is found, whatever its first speed was told to be; then it lags no more."""
+    gear, speed, dt = Gear(0.0, 0.2), 0.8, 0.01
+    for i in range(1, 60):
+        for _ in range(2):
+            gear = gear.later(0.5 * dt)
+        assert gear.age == pytest.approx(dt)
+        gear = gear.measured(speed * dt * i)
+    assert (gear.position, gear.speed, gear.age) == pytest.approx((speed * dt * 59, speed, 0.0), abs=1e-6)
+    assert gear.share(gear.position) == pytest.approx(speed, abs=1e-5)
+    assert gear.share(gear.position + 0.01) == pytest.approx(speed - 0.01 * LAG_GAIN, abs=1e-5)
+    assert gear.share(gear.position - 0.1) == 1.0
+    assert gear.share(gear.position + 1.0) == 0.0
+    again = gear.measured(9.0)  # in the same step: the latest counts
+    assert (again.position, again.speed) == (9.0, gear.speed)
+    left = math.exp(-dt / BELT_FILTER)
+    one = Gear(0.0, 0.0, dt).measured(1.0)
+    assert (one.position, one.speed) == pytest.approx((1.0 - left**2, (1.0 - left) ** 2 / dt))
+    late = gear.later(BELT_SILENCE - 1e-6)
+    assert not late.silent
+    assert late.share(late.position) > 0.7
+    assert late.later(2e-6).silent
+    assert late.later(2e-6).share(late.position) == 0.0
+
+
+def test_a_hand_leads_by_how_far_it_has_moved(rng: np.random.Generator) -> None:
+    hand, here = (pin.SE3(pin.exp3(rng.normal(size=3)), rng.normal(size=3)) for _ in range(2))
+    clutch, goal = Clutch(hand).goal(here)
+    assert goal.isApprox(here, 1e-12)
+    turn, way = pin.exp3(np.array([0.1, 0.2, -0.1])), np.array([0.01, 0.02, 0.03])
+    there = pin.SE3(turn @ hand.rotation, hand.translation + way)
+    share = 1.0 - math.exp(-0.02 / HAND_FILTER)
+    part = clutch.measured(there, 0.02).goal(here)[1]
+    np.testing.assert_allclose(part.translation, here.translation + share * way)
+    np.testing.assert_allclose(pin.log3(part.rotation @ here.rotation.T), share * pin.log3(turn), atol=1e-9)
+    whole = clutch.measured(there, math.inf).goal(here)[1]
+    np.testing.assert_allclose(whole.translation, here.translation + way)
+    np.testing.assert_allclose(whole.rotation, turn @ here.rotation, atol=1e-12)
+    assert Clutch(hand).measured(there, 0.02).hand is there  # nothing follows it yet
+
+
+def test_a_trail_leads_back_over_whole_turns(mixed_cell: RobotCell) -> None:
+    """Positions, and velocities over the clock of the way back; a continuous joint goes back as far as it came."""
+    cell = mixed_cell
+    joint, dt = int(np.flatnonzero(cell.continuous)[0]), 0.004
+    trail, x0 = Trail(cell, dt=dt), np.linspace(-0.5, 0.5, cell.nv)
+    speed = np.linspace(0.5, 1.0, cell.nv)
+    speed[joint] = 9.0
+    assert trail.stride == 8
+    assert trail.back(0.0) is None
+    trail.begin(0.0, x0)
+    assert trail.back(1.0) is None
+    for i in range(1, 41):
+        x = x0 + 0.05 * i * speed
+        x[joint] = (x[joint] + np.pi) % (2.0 * np.pi) - np.pi  # as it is measured
+        trail.note(0.05 * i, x, 0.5 * speed, 0.5)
+    assert len(trail) == 41
+    back = trail.back(2.0)
+    assert back is not None
+    for at in (0.0, 0.52, 1.1):
+        position, slope = back.at(at)
+        np.testing.assert_allclose(position, x0 + (2.0 - at) * speed, atol=1e-9)
+        np.testing.assert_allclose(slope, -speed, atol=1e-9)
+    kept = trail.copy()
+    trail.cut(1.0, x0 + 1.0 * speed)
+    assert (len(trail), len(kept)) == (21, 41)
+    trail.note(1.0 + 5e-5, x0 + 1.0 * speed, speed, 1.0)
+    assert len(trail) == 21  # too near to the last one, in whose place it is
+    slow = Trail(cell, dt=dt)
+    slow.begin(0.0, x0)
+    for i in range(1, 4):
+        slow.note(0.05 * i, x0 + 0.05 * i * speed, 100.0 * speed, 0.01)  # so slow that the velocity says nothing
+    gone = slow.back(0.15)
+    assert gone is not None
+    np.testing.assert_allclose(gone.at(0.07)[1], -speed, atol=1e-6)
+
+
+# -- words -------------------------------------------------------------------------------------------------------------
+
+SAID = [
+    ("NOT_FINITE", (3, np.nan, 0), "q_measured[3] is nan"),
+    ("OFF_CIRCLE", (3, 1.2345, 0), "q_measured[3] and [4] are no cosine and sine (norm 1.23)"),
+    ("JUMPED", (3, 0.45678, 0), "joint {joint} is measured 0.457 rad (or m) from its command"),
+    ("CHAIN_APART", (1, 2.34e-3, 2), "arms slave_1 and slave_2 are commanded 2.3 mm apart"),
+    ("OUT_OF_STEP_BY", (1, 2.34567e-3, 0), "arm slave_1 is 2.35 mm out of step with the others"),
+    ("WAS_OUT_OF_STEP", (1, 0, 0), "arm slave_1 was out of step"),
+    ("STALLED", (2, 0, 0), "arm slave_2 does not follow its command (stalled)"),
+    ("FORCE", (0, 123.4, 0), "123 N at the grasp of arm master by its servos (limit 250 N)"),
+    ("FORCE_GROWS", (0, 123.4, 310.2), "123 N at the grasp of arm master by its servos, soon 310 N (limit 250 N)"),
+    ("OFF_SERVOS", (1, 2e-3, 0), "arm slave_1 is 2.00 mm from where its wrench puts its servos"),
+    ("HANGS_BEHIND", (1, 2e-3, 45.6), "arm slave_1 does not follow its command: it hangs 2 mm behind, and the others "
+     "pull it with 46 N"),
+    ("PATH_FAILED", (-1, 1.25, 0), "the path has no pose at its clock 1.25 s"),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(("name", "numbers", "words"), SAID)
+def test_what_the_core_says_names_arm_joint_and_numbers(
+    paper: Scenario, name: str, numbers: tuple[float, float, float], words: str
+) -> None:
+    said = reason(paper.cell, 250.0, layout.REASONS.index(name), *numbers)
+    assert said == words.replace("{joint}", paper.cell.joint_names[3])
+
+
+def test_pairs_inside_their_margin_are_said_with_their_distance() -> None:
+    def pair(distance: float) -> BindingLimit:
+        return BindingLimit("", "", LimitKind.COLLISION, between=("a", "b"), distance=distance)
+
+    assert too_close(()) == ""
+    assert too_close((pair(0.0034),)) == "a and b are 3.4 mm from each other, inside their margin"
+    assert too_close((pair(-0.0034),) * 2) == "a and b overlap by 3.4 mm, and 1 other pair"
+    assert too_close((pair(0.0),) * 3) == "a and b are 0.0 mm from each other, inside their margin, and 2 other pairs"
