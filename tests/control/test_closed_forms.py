@@ -10,7 +10,17 @@ import pinocchio as pin
 import pytest
 from cells import with_mismatch
 
-from coopqp import CommonError, InvalidInputError, Knot, LinePath, PreviewOptions, RobotCell, SupervisionOptions
+from coopqp import (
+    BindingLimit,
+    CommonError,
+    InvalidInputError,
+    Knot,
+    LimitKind,
+    LinePath,
+    PreviewOptions,
+    RobotCell,
+    SupervisionOptions,
+)
 from coopqp.control import StallBound
 from coopqp.control.lookahead.options import PlanLimits
 from coopqp.control.lookahead.ramp_time import RampTime
@@ -29,7 +39,6 @@ from coopqp.control.step.decoding import reason
 from coopqp.control.step.start import check_start, held_command, rate_into, start_warning
 from coopqp.control.step.verdict import too_close
 from coopqp.model import CellState
-from coopqp.model.limits import BindingLimit, LimitKind
 from coopqp.native import constants, layout
 from coopqp.paths.grasp_motion import GraspMotion
 from coopqp.scenarios import Scenario
