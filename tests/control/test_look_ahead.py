@@ -12,7 +12,7 @@ import pytest
 from runs import preview_of
 from user_paths import OnlyMarked
 
-from coopqp import LimitKind, QPController, QPOptions, WaypointPath, plan
+from coopqp import LimitKind, PreviewOptions, QPController, QPOptions, WaypointPath, plan
 from coopqp.control.lookahead.closed_chain import ClosedChainAhead
 from coopqp.control.lookahead.horizon import Horizon
 from coopqp.control.lookahead.preview import PathPreview
@@ -415,3 +415,53 @@ def test_a_step_that_looks_no_further_than_it_needs_is_the_same(monkeypatch: pyt
     other, more = run()
     assert few < more
     assert np.abs(own - other).max() < 1e-12
+
+
+@pytest.mark.parametrize("joint", [0, 7])
+def test_the_joint_that_bends_most_is_named_with_the_rate_that_it_allows(joint: int) -> None:
+    """z = a / q″, with q′ = 0 there; knots that come later change nothing of it, one at which the object stops does."""
+    task = cornered(5.0)
+    horizon, way = preview_of(task).horizon, np.eye(18)[joint]
+    knot = horizon.knots[0]._replace(square=0.0, cause=None, share=None)
+    most = 4.0 * PreviewOptions().margin * 5.0
+
+    def put(numbers: range, cap: float = 1.0) -> None:
+        for i in numbers:
+            binding = task.cell.joint_limit(3, LimitKind.VELOCITY) if cap < 1.0 else None
+            bends = {"slope": 0.1 * i * most * way, "curvature": most * way, "bending": 0.0 * way}
+            horizon.push(knot._replace(clock=0.1 * i, span=0.1 * (i > 0), cap=cap, binding=binding, **bends))
+
+    horizon.clear()
+    put(range(4))
+    horizon.look_back()
+    first = horizon.knots[0]
+    assert first.square == pytest.approx(0.25, rel=1e-6)
+    assert first.cause == task.cell.joint_limit(joint, LimitKind.ACCELERATION)
+    assert not first.stops
+    assert not horizon.complete
+    assert horizon.least(0.0, 0.0, 0.01).square == pytest.approx(0.25, rel=1e-6)
+    assert horizon.knots[3].square == 0.0  # what is beyond is not known
+    put(range(4, 5), cap=0.0)
+    assert horizon.complete
+    last = horizon.knots[4]
+    assert (last.square, last.stops, last.cause) == (0.0, True, task.cell.joint_limit(3, LimitKind.VELOCITY))
+    assert horizon.knots[3].cause == last.cause
+    assert horizon.knots[3].stops
+    horizon.leave_behind(0.25)
+    assert [round(10.0 * k.clock) for k in horizon.knots] == [2, 3, 4]
+    assert horizon.known == 3
+    horizon.leave_behind(9.0)
+    assert (len(horizon.knots), horizon.known) == (1, 1)
+
+
+def test_the_horizon_is_free_up_to_the_last_knot_at_full_rate() -> None:
+    horizon = preview_of(cornered(5.0)).horizon
+    knot = horizon.knots[0]
+    horizon.clear()
+    for i, square in enumerate((1.0, 1.0, 1.0, 0.9, 1.0)):
+        horizon.knots.append(knot._replace(clock=0.1 * i, square=square))
+    assert horizon.free_until(0.01) == pytest.approx(0.19)
+    horizon.knots[3] = knot._replace(clock=0.3, square=1.0)
+    assert horizon.free_until(0.01) == pytest.approx(0.39)
+    horizon.complete = True
+    assert horizon.free_until(0.01) == np.inf

@@ -533,3 +533,47 @@ def test_a_plan_and_its_way_back_are_the_same_in_both_kernels() -> None:
     for a, b in zip(*runs, strict=True):
         np.testing.assert_allclose(a.q_next, b.q_next, atol=1e-9)
         assert a.status is b.status
+
+
+@both
+def test_a_way_that_begins_at_rest_in_mid_path_begins_slowly(kernel: str) -> None:
+    """The program itself moves there: from 0 the rate rises by what the joints' accelerations allow."""
+    task = limited_once(lambda: paper_lift(time_law="linear"), 5.0)
+    controller = built(task, kernel, dt=DT)
+    steps(controller, 60)
+    controller.pause()
+    until_rest(controller)
+    for call in (controller.reverse, controller.forward):
+        before = controller.program_clock
+        call()
+        done = steps(controller, 40)
+        rates = [step.rate for step in done]
+        assert 0.0 <= rates[0] < 0.3
+        assert max(np.diff([0.0, *rates])) < 0.3
+        assert max(rates) > 0.5
+        assert {step.sense for step in done} == {-1 if call == controller.reverse else 1}
+        assert (controller.program_clock - before) * done[0].sense > 0.0
+        kept(controller, done)
+        controller.pause()
+        until_rest(controller)
+
+
+@fast
+def test_a_reset_in_mid_path_begins_the_trail_anew(kernel: str) -> None:
+    """The way back is the one travelled since then."""
+    task = limited_once(dual_arm7, 5.0)
+    controller = built(task, kernel, dt=DT)
+    steps(controller, 25)
+    q, clock = controller.commanded.copy(), controller.program_clock
+    other = built(task, kernel, dt=DT)
+    other.reset(q, clock=clock)
+    controller.reset(q, clock=clock)
+    ways = []
+    for made in (controller, other):
+        there = steps(made, 25)
+        made.reverse(clock)
+        back = until(made, Status.PAUSED)
+        np.testing.assert_allclose(back[-1].q_next, q, atol=2e-3)
+        assert back[-1].clock_next == pytest.approx(clock, abs=1e-9)
+        ways.append([step.q_next for step in (*there, *back)])
+    np.testing.assert_allclose(ways[0], ways[1], atol=1e-12)
