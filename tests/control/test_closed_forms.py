@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import warnings
 from typing import Any
 
 import numpy as np
@@ -18,16 +19,19 @@ from coopqp import (
     LimitKind,
     LinePath,
     PreviewOptions,
+    QPController,
     RobotCell,
     SupervisionOptions,
 )
 from coopqp.control import StallBound
+from coopqp.control.core.relax_plain import minding_scalars, minding_size
 from coopqp.control.lookahead.options import PlanLimits
 from coopqp.control.lookahead.ramp_time import RampTime
 from coopqp.control.monitoring.commanded import ChainWatch, among_arms, expected
 from coopqp.control.monitoring.drift import carried_drift, from_others, mean_where
 from coopqp.control.monitoring.lag import excess_cap
 from coopqp.control.monitoring.noise import noise_seen
+from coopqp.control.monitoring.servos import ServoWatch
 from coopqp.control.monitoring.stress import StressWatch, servo_wrenches, whole_compliance
 from coopqp.control.monitoring.supervision import Supervision, grasp_lengths
 from coopqp.control.monitoring.watch import Watch, fall_gently
@@ -38,6 +42,7 @@ from coopqp.control.step.contact import Contact, filter_time, handed
 from coopqp.control.step.decoding import reason
 from coopqp.control.step.start import check_start, held_command, rate_into, start_warning
 from coopqp.control.step.verdict import too_close
+from coopqp.errors import StartWarning, StiffnessWarning
 from coopqp.model import CellState
 from coopqp.native import constants, layout
 from coopqp.paths.grasp_motion import GraspMotion
@@ -308,6 +313,29 @@ def test_commands_lead_arms_apart_by_what_no_one_asked_for(paper: Scenario, rng:
         np.testing.assert_allclose(there(expected(mismatch, shift, 0.3)), 0.7 * np.asarray(whole))
 
 
+@pytest.mark.parametrize(("stiffer", "soft"), [(0.5, 0.5), (1.0, 1.0), (3.0, 1.0)])
+def test_servos_that_do_not_stand_where_wrenches_put_them_slow_the_object(stiffer: float, soft: float) -> None:
+    """In a line between two distances, beyond what the joints' haste explains; softer servos may deflect more."""
+    memory = np.zeros(minding_size(2))
+    m = minding_scalars(memory)
+    m.stage, m.rigid, m.stiffer, m.servo_samples = 2, 1.0, stiffer, 1e6
+    watch, arms, hasty = ServoWatch(memory, ("left", "right")), np.ones(2, dtype=bool), 0.5
+    assert watch.minds
+    way: dict[str, Any] = {"holds": arms, "way": 0.0, "dt": 0.01, "filter_time": 0.0, "margin": 0.0}
+    for share in (-0.5, 0.25, 0.75, 1.5):
+        slows, holds = constants.SERVO_SLOWS, constants.SERVO_HOLDS
+        distance = (slows + share * (holds - slows) + constants.SERVO_LATE * hasty) / soft
+        away = np.zeros((2, 6))
+        away[1, 2] = distance
+        cap, arm, far = watch.watch(away, np.eye(6), np.eye(3), hasty, **way)
+        assert cap == pytest.approx(float(np.clip(1.0 - share, 0.0, 1.0)), abs=1e-9)
+        assert far == pytest.approx(distance)
+        assert arm in (0, 1)
+        assert bool(m.suspected) == (share > 0.0)
+    m.stage = 1
+    assert watch.watch(away, np.eye(6), np.eye(3), hasty, **way) == (1.0, -1, 0.0)
+
+
 # -- starts ------------------------------------------------------------------------------------------------------------
 
 
@@ -337,6 +365,16 @@ def test_a_start_says_how_far_each_arm_is_from_the_path(paper: Scenario) -> None
     given = check_start(paper.cell, paper.grasp, paper.path, np.array([q, q]), tolerance_m=1e-6, tolerance_rad=1e-6)
     np.testing.assert_allclose(given, q)
     assert not given.flags.writeable
+
+
+def test_warnings_of_a_start_point_at_the_line_that_starts(paper: Scenario) -> None:
+    task = with_mismatch(paper, 1, (0.0, 3e-3, 0.0))
+    controller = QPController(task.cell, task.grasp, task.path, dt=0.01)
+    for readings, kinds in ((task.q_start, [StartWarning]), ([task.q_start] * 2, [StartWarning, StiffnessWarning])):
+        with warnings.catch_warnings(record=True) as told:
+            warnings.simplefilter("always")
+            controller.reset(readings)
+        assert [(w.category, w.filename) for w in told] == [(kind, __file__) for kind in kinds]
 
 
 def test_what_robots_hold_is_near_what_is_measured(paper: Scenario) -> None:

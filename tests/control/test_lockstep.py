@@ -384,6 +384,17 @@ def test_both_agree_with_all_settings_changed(acceleration: float) -> None:
 
 
 @pytest.mark.core
+@pytest.mark.parametrize("preview", [None, PreviewOptions()], ids=["blind", "looking ahead"])
+def test_both_stop_ahead_of_a_limit(preview: PreviewOptions | None) -> None:
+    task = hurried(dataclasses.replace(ASKEW, cell=ASKEW.cell.with_limits(acceleration=3.0)), 1.5)
+    run = pair(task, dt=0.01, preview=preview)
+    run.same = DISTURBED
+    run.run(70)
+    assert Status.SLOWED in run.seen
+    assert run.lowest < 0.5
+
+
+@pytest.mark.core
 def test_both_take_measurements_of_any_kind_of_array() -> None:
     """Lists, other numbers, arrays that are strided: what is measured is the same."""
     task = limited_once(two_arms, np.inf)
@@ -414,6 +425,52 @@ def test_both_agree_with_another_solver_while_joints_are_led_back(solver: str) -
     run.same = 1e-7
     run.run(20)
     assert (cell.positions(run.told[0]) < lower).any()
+
+
+def lead(controller: QPController, i: int) -> None:
+    """The hand that leads the object moves askew."""
+    controller.target(pin.SE3(np.eye(3), 3e-4 * i * np.ones(3)))
+
+
+def belt(controller: QPController, i: int) -> None:
+    """The belt goes faster than it was told to."""
+    controller.gear(0.006 * i, speed=0.4)
+
+
+UP = np.array([0.0, 0.0, 0.05, 0.0, 0.1, 0.0])
+#: Calls of an operator by the number of the step ahead of which each is made.
+ASKED: dict[str, dict[int, Callable[[QPController], Any]]] = {
+    "pause and resume": {20: lambda c: c.pause(), 45: lambda c: c.resume(), 60: lambda c: c.set_override(0.3)},
+    "back and on": {25: lambda c: c.reverse(0.02), 60: lambda c: c.forward()},
+    "to a clock and back": {10: lambda c: c.run_to(0.2), 50: lambda c: c.run_to(0.1)},
+    "by hand and back": {
+        10: lambda c: c.pause(), **{i: lambda c: c.jog(UP, frame="world") for i in range(25, 50, 5)},
+        65: lambda c: c.return_to_path(),
+    },
+    "led by a hand": {
+        **{0: lambda c: c.engage(pin.SE3.Identity())},
+        **{i: functools.partial(lead, i=i) for i in range(5, 35, 5)},
+        60: lambda c: c.release(),
+    },
+    "with a belt": {i: functools.partial(belt, i=i) for i in range(5, 60, 2)},
+    "aside": {15: lambda c: c.shift_path(pin.SE3(pin.exp3(np.array([0.0, 0.0, 0.01])), np.array([0.0, 2e-3, 0.0])))},
+}  # fmt: skip
+
+
+@pytest.mark.core
+@pytest.mark.parametrize("acceleration", slow_but_first([8.0, np.inf]))
+@pytest.mark.parametrize("calls", ASKED)
+def test_both_do_what_an_operator_asks_for(calls: str, acceleration: float) -> None:
+    run = pair(hurried(limited_once(two_arms, acceleration), 1.5), dt=0.01)
+    run.same = DISTURBED
+    for i in range(75):
+        if i in ASKED[calls]:
+            run.both(ASKED[calls][i])
+        run.take()
+        if i == 40:
+            run.compiled, run.plain = copy.deepcopy(run.compiled), copy.deepcopy(run.plain)
+    run.compare()
+    assert run.lowest < 0.5 or calls == "aside"
 
 
 #: Scenarios whose arms have fewer than six joints, which the core leaves to the plain definition.
