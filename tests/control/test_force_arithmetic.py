@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from coopqp.control.core import minding_of
-from coopqp.control.core.relax_plain import minding_scalars, minding_size, minding_views
+from coopqp.control.core.relax_plain import minding_scalars, minding_size, minding_views, squeezes
 from coopqp.native import available_kernels, constants, layout
 from coopqp.spatial import Array
 
@@ -36,7 +36,8 @@ def anyhow(rng: np.random.Generator, arms: int, **values: float) -> Array:
         "last_speed": rng.choice([0.0, 1.0]), "at_end": rng.integers(2), "pressed_with": 10.0, "needed": 5.0,
         "start_size": rng.uniform(0.0, 10.0), "load_mass": 2.0, "weight_z": -20.0, "weight_x": 3.0, "weight_y": 2.0,
         "contact_limit": rng.choice([4.0, 10.0, math.inf]), "corrects": 0.5, "contact_late": 0.02,
-        "goes_on": rng.integers(2), "suspected": rng.uniform() < 0.2, "reference_dt": 0.004, "back_from": math.nan,
+        "goes_on": rng.integers(2), "touches": rng.choice([0.0, 0.0, constants.UNTIL_TOLD + 0.02]),
+        "suspected": rng.uniform() < 0.2, "reference_dt": 0.004, "back_from": math.nan,
     }  # fmt: skip
     for name, value in (drawn | values).items():
         setattr(m, name, value)
@@ -73,7 +74,7 @@ def felt(rng: np.random.Generator, arms: int, before: Array | None, load: Array)
 def test_both_relax_alike_and_allow_the_same_rate(stage: int, rng: np.random.Generator) -> None:
     (relax, allow), (relax_core, allow_core) = minding_of("plain"), minding_of("compiled")
     dt, whys = 0.004, set()
-    for run in range(20):
+    for run in range(16):
         arms = 2 + run % 2
         memory = anyhow(rng, arms, stage=stage)
         x, way, push = minding_views(memory, arms), rng.normal(size=3) * 0.2, rng.normal(size=3)
@@ -99,13 +100,25 @@ def test_both_relax_alike_and_allow_the_same_rate(stage: int, rng: np.random.Gen
     assert whys >= {"BY_SENSOR", *(moving if stage == MOVING else {"BY_STAGE"})}
 
 
+def test_arms_squeeze_where_they_press_more_while_they_relax_than_at_the_start() -> None:
+    """Not on palms, which have to press; and from the force on at which the object is held."""
+    more = 1.01 * constants.MORE_THAN_AT_START * 30.0
+    for values, found in (
+        ({}, True), ({"stage": MOVING}, False), ({"stage": PRESSING}, False), ({"has_palms": 1.0}, False),
+        ({"size": 0.98 * more}, False), ({"force_holds": 1.01 * more}, False), ({"force_holds": more}, True),
+    ):  # fmt: skip
+        usual = {"stage": RELAXING, "has_palms": 0.0, "size": more, "start_size": 30.0, "force_holds": 25.0}
+        memory = anyhow(np.random.default_rng(0), 2, **(usual | values))
+        assert squeezes(minding_scalars(memory)) == found, values
+
+
 def test_a_rate_falls_in_proportion_and_rises_the_slower_the_more_is_felt() -> None:
     """Without palms, between the force that slows and the one that holds; by the closed forms."""
     allow, dt = minding_of("plain")[1], 0.01
     for size, cap, stiffer in ((0.0, 0.5, 1.0), (2.0, 0.5, 4.0), (4.9, 0.2, 0.5), (15.0, 1.0, 1.0), (30.0, 0.05, 1.0)):
         memory = anyhow(
             np.random.default_rng(0), 2, stage=MOVING, has_palms=0.0, size=size, force_cap=cap, stiffer=stiffer,
-            asked=1.0,
+            asked=1.0, touches=0.0,
         )  # fmt: skip
         allow(memory, 2, dt)
         wanted = float(np.clip((25.0 - size) / 20.0, 0.0, 1.0))
