@@ -21,6 +21,7 @@ from user_paths import Marked
 
 from coopqp import (
     ControlStep,
+    HoldPath,
     LimitKind,
     LinePath,
     ObjectPath,
@@ -1070,3 +1071,227 @@ def test_arms_with_few_joints_run_by_the_plain_definition() -> None:
     task = five_joint_pair()
     controller = QPController(task.cell, task.grasp, task.path, dt=0.01, options=QPOptions(kernel="compiled"))
     assert controller.kernel == "plain"
+
+
+# -- at random, in short -----------------------------------------------------------------------------------------------
+
+
+#: Cells of six and of seven joints an arm.
+SOME_CELLS = (paper_lift, mixed_cell, dual_arm7)
+
+
+def options_at_random(rng: np.random.Generator) -> dict[str, Any]:
+    """Every option of the step, within sensible bounds."""
+    supervision = SupervisionOptions(
+        slow_from=float(rng.uniform(5e-5, 4e-4)),
+        hold_from=float(rng.uniform(5e-4, 2e-3)),
+        let_in=float(rng.uniform(0.0, 0.006)),
+        noise_margin=float(rng.uniform(1.0, 6.0)),
+        recovery_time=float(rng.uniform(0.0, 0.2)),
+        apart_from=float(rng.uniform(5e-5, 4e-4)),
+        stall_samples=int(rng.integers(2, 8)),
+        stall_share=float(rng.uniform(0.1, 0.5)),
+        silent_time=float(rng.uniform(0.01, 0.06)),
+        filter_time=float(rng.uniform(0.0, 0.01)),
+        stiffness=float(rng.uniform(5e3, 5e4)) if rng.uniform() < 0.5 else None,
+        force_limit=float(rng.uniform(50.0, 300.0)),
+        servo_delay=float(rng.uniform(0.0, 0.02)),
+    )
+    preview = PreviewOptions(
+        cell=float(rng.uniform(0.01, 0.04)),
+        joint_step=float(rng.uniform(0.01, 0.04)),
+        slope_step=float(rng.uniform(0.05, 0.2)),
+        margin=float(rng.uniform(0.7, 0.98)),
+        curvature_share=float(rng.uniform(0.2, 0.8)),
+        doubt=float(rng.uniform(0.05, 0.5)),
+        rate_slope=float(rng.uniform(2.0, 12.0)),
+        newton_steps=int(rng.integers(2, 41)),
+    )
+    return {
+        "grasp_gain": float(rng.uniform(0.0, 40.0)),
+        "path_gain": float(rng.uniform(0.0, 40.0)),
+        "correction_speed": float(rng.choice([1e-4, 0.01, 0.1])),
+        "correction_spin": float(rng.choice([1e-3, 0.05, 0.4])),
+        "measurement_time": float(rng.uniform(0.005, 0.05)),
+        "blocked_rate": float(rng.choice([1e-3, 0.05])),
+        "shortcut": bool(rng.uniform() < 0.7),
+        "supervision": supervision,
+        "preview": preview if rng.uniform() < 0.8 else None,
+        "posture": PostureOptions(
+            gain=float(rng.uniform(0.0, 2.0)),
+            centring=float(rng.uniform(0.0, 0.5)),
+            manipulability=float(rng.choice([0.0, 0.2])),
+            speed_share=float(rng.uniform(0.1, 0.5)),
+        ),
+    }
+
+
+def limits_at_random(task: Scenario, rng: np.random.Generator) -> Scenario:
+    """Limits around the start, some of them so near that they bind; an acceleration of each joint, or of none."""
+    cell, q = task.cell, task.cell.positions(task.q_start)
+    limits = cell.limits
+    near = np.where(rng.uniform(size=cell.nv) < 0.2, 0.02, 1.0) * rng.uniform(0.5, 1.5, cell.nv)
+    side = rng.uniform(size=cell.nv) < 0.5
+    changed: dict[str, Any] = {
+        "lower": np.where(side, np.maximum(limits.lower, q - near), limits.lower),
+        "upper": np.where(side, limits.upper, np.minimum(limits.upper, q + near)),
+        "velocity": np.minimum(limits.velocity, rng.uniform(0.1, 2.0, cell.nv)),
+    }
+    if rng.uniform() < 0.7:
+        changed["acceleration"] = rng.uniform(2.0, 30.0, cell.nv)
+    return dataclasses.replace(task, cell=cell.with_limits(**changed))
+
+
+def inputs_at_random(task: Scenario, dt: float, rng: np.random.Generator) -> Inputs:
+    cell = task.cell
+    kinds: list[Callable[[], Inputs]] = [
+        lambda: noisy(cell, size=float(rng.uniform(1e-6, 3e-4)), late=int(rng.integers(0, 4))),
+        lambda: lagging(cell, int(rng.integers(1, 6))),
+        lambda: stalling(cell, 25, 45),
+        lambda: dropping(cell),
+        lambda: corrupted(cell),
+        lambda: uneven(cell, dt),
+    ]
+    return kinds[int(rng.integers(len(kinds)))]()
+
+
+def way_at_random(task: Scenario, rng: np.random.Generator) -> WaypointPath:
+    """Short pieces in all directions, with turns and with corners; one of them stands."""
+    poses = [task.path.pose(0.0)]
+    for _ in range(3):
+        here, moved, turned = poses[-1], 0.02 * rng.standard_normal(3), 0.05 * rng.standard_normal(3)
+        poses.append(pin.SE3(here.rotation @ pin.exp3(turned), here.translation + moved))
+    poses.insert(2, poses[1])
+    law = ("linear", "quintic")[int(rng.integers(2))]
+    return WaypointPath(poses, durations=[*rng.uniform(0.1, 0.4, 4)], time_law=law)
+
+
+@pytest.mark.core
+@pytest.mark.parametrize("make", SOME_CELLS, ids=lambda make: make.__name__)
+@pytest.mark.parametrize("seed", range(8))
+def test_both_agree_with_options_limits_and_inputs_at_random(seed: int, make: Callable[[], Scenario]) -> None:
+    rng = np.random.default_rng(100 + seed)
+    task = limits_at_random(limited_once(make, np.inf), rng)
+    dt = float(rng.choice([0.004, 0.008, 0.0113]))
+    path = way_at_random(task, rng)
+    run = pair(task, path=lambda: path, dt=dt, **options_at_random(rng))
+    run.same = DISTURBED
+    run.run(60, inputs_at_random(task, dt, rng))
+    assert run.told
+
+
+@pytest.mark.core
+@pytest.mark.parametrize("acceleration", slow_but_first([8.0, np.inf]))
+@pytest.mark.parametrize("make", SOME_CELLS, ids=lambda make: make.__name__)
+def test_both_agree_on_targets_that_jump_about(make: Callable[[], Scenario], acceleration: float) -> None:
+    """Near, far, out of reach, the same once more, and back, each asked before the last is reached."""
+    task = limited_once(make, acceleration)
+    start, rng = task.path.pose(0.0), np.random.default_rng(12)
+    speed, spin = float(rng.uniform(0.1, 0.4)), float(rng.uniform(0.2, 1.0))
+    run = pair(task, path=lambda: ServoPath(start, speed=speed, spin=spin), dt=0.008)
+    run.same = DISTURBED
+    goal = start
+    for far, turn in ((0.001, 0.0), (0.05, 0.1), (0.0, 0.2), (0.7, 0.3), (None, None), (0.02, 0.0), (0.0, 0.0)):
+        if far is not None:
+            way, about = rng.standard_normal(3), rng.standard_normal(3)
+            goal = pin.SE3(start.rotation @ pin.exp3(turn * about), start.translation + far * way)
+        run.both(lambda c, T=goal: c.retarget(T))
+        run.run(int(rng.integers(5, 9)), noisy(task.cell, size=1e-5))
+    assert run.seen >= {Status.TRACKING}
+
+
+@pytest.mark.core
+@pytest.mark.parametrize("kind", ["wrist", "elbow", "reach"])
+@pytest.mark.parametrize("acceleration", [np.inf, 10.0])
+def test_both_agree_on_the_way_into_a_singularity(kind: Any, acceleration: float) -> None:
+    task = at_singularity(kind, 1, acceleration=acceleration)
+    last = task.path.duration
+    near = LinePath(task.path.pose(0.0), task.path.pose(last), duration=0.4 * last)
+    run = pair(task, path=lambda: near, dt=0.012)
+    run.same = DISTURBED
+    run.run(90)
+    assert run.lowest < 1.0
+
+
+@pytest.mark.core
+@pytest.mark.parametrize("known_ahead", [True, False])
+@pytest.mark.parametrize("jump", [0.0, 1e-3, 1.0])
+def test_both_agree_where_a_users_path_fails_and_recovers(jump: float, known_ahead: bool) -> None:
+    task = limited_once(mixed_cell, 10.0)
+    run = pair(task, path=lambda: Failing(task.path, known_ahead=known_ahead), dt=0.0097)
+    clock = run.run(25).plain.step().clock_next
+    run.compiled.step()
+    for since, steps in ((clock, 15), (np.inf, 15)):
+        for path in (run.compiled.path, run.plain.path):
+            assert isinstance(path, Failing)
+            path.since, path.jump = since, jump
+        run.run(steps, noisy(task.cell, size=1e-5))
+    assert Status.HOLDING in run.seen or jump > 0.0
+
+
+@pytest.mark.core
+@pytest.mark.parametrize("make", SOME_CELLS, ids=lambda make: make.__name__)
+@pytest.mark.parametrize("known_ahead", [True, False])
+def test_both_agree_on_corners_that_a_user_tells(make: Callable[[], Scenario], known_ahead: bool) -> None:
+    task = limited_once(make, 6.0)
+    run = pair(task, path=lambda: Marked(zigzag(task, "linear"), known_ahead=known_ahead), dt=0.02)
+    run.same = DISTURBED
+    run.run(70, noisy(task.cell, size=1e-5))
+    assert run.seen >= {Status.TRACKING}
+
+
+@pytest.mark.core
+@pytest.mark.parametrize("acceleration", [np.inf, 10.0])
+def test_both_agree_when_paths_of_all_kinds_follow_each_other_in_motion(acceleration: float) -> None:
+    task = limited_once(mixed_cell, acceleration)
+    run = pair(task, dt=0.01).run(40)
+    run.same = DISTURBED
+    for kind in ("linear", "quintic", "hold", "waypoints"):
+        here = run.plain.path.pose(run.plain.step().clock_next)
+        run.compiled.step()
+        goal, path = task.path.pose(0.5), None
+        if kind == "hold":
+            path = HoldPath(here, duration=0.2)
+        elif kind == "waypoints":
+            path = WaypointPath([here, goal, here], durations=[0.3, 0.2], time_law="linear")
+        follow: ObjectPath = path or LinePath(here, goal, duration=0.3, time_law=kind)
+        run.both(lambda c, path=follow: c.follow(path))
+        run.run(22, noisy(task.cell, size=1e-5))
+
+
+@pytest.mark.core
+@pytest.mark.filterwarnings("ignore::coopqp.errors.StartWarning")
+@pytest.mark.parametrize("off", [1e-4, 2e-3])
+@pytest.mark.parametrize("acceleration", [np.inf, 10.0])
+@pytest.mark.parametrize("make", SOME_CELLS, ids=lambda make: make.__name__)
+def test_both_agree_from_starts_beside_the_grasp(make: Callable[[], Scenario], acceleration: float, off: float) -> None:
+    task = limited_once(make, acceleration)
+    away = off * np.random.default_rng(14).standard_normal(task.cell.nv)
+    run = pair(dataclasses.replace(task, q_start=task.cell.moved(task.q_start, away)), dt=0.007)
+    run.same = DISTURBED
+    run.run(60)
+    assert max(np.abs(np.array(run.plain.step().given_up.off_path))) < 0.1
+
+
+@pytest.mark.core
+@pytest.mark.parametrize("mode", ["nominal", "one arm lags", "always a QP"])
+def test_both_agree_with_five_arms(mode: str) -> None:
+    task = ring(arms=5)
+    inputs = lagging(task.cell) if mode == "one arm lags" else None
+    run: Pair = pair(task, dt=0.02, shortcut=mode != "always a QP")
+    run.run(60, inputs)
+
+
+@pytest.mark.core
+@pytest.mark.parametrize("make", SOME_CELLS, ids=lambda make: make.__name__)
+def test_both_agree_with_a_joint_that_is_locked(make: Callable[[], Scenario]) -> None:
+    """Its limits leave it almost no way: the object goes as far as that."""
+    task = halfway(limited_once(make, np.inf))
+    q, limits = task.cell.positions(task.q_start), task.cell.limits
+    lower, upper = limits.lower.copy(), limits.upper.copy()
+    lower[2], upper[2] = q[2] - 1e-3, q[2] + 1e-3
+    for acceleration in (np.inf, 5.0):
+        cell = task.cell.with_limits(lower=lower, upper=upper, acceleration=acceleration)
+        run = pair(dataclasses.replace(task, cell=cell), dt=0.01)
+        run.same = DISTURBED
+        run.run(40)
