@@ -229,6 +229,7 @@ def test_what_does_not_fit_is_refused_when_it_is_built() -> None:
 
 @pytest.mark.parametrize("preview", [True, False])
 @pytest.mark.parametrize("case", ["rests", "moves", "fast", "samples", "back"])
+@pytest.mark.core
 def test_the_core_does_the_same(case: str, preview: bool) -> None:
     pytest.importorskip("coopqp.native._core")
     task = lift()
