@@ -41,6 +41,7 @@ public:
         data = static_cast<T *>(view.buf), size = view.len / 8;
         return true;
     }
+    bool is_row(Py_ssize_t numbers) const { return view.ndim == 1 && size == numbers; }
     Py_ssize_t length(int axis) const { return axis < view.ndim ? view.shape[axis] : 1; }
 
 private:

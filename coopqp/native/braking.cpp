@@ -219,6 +219,6 @@ static void brake_together(Core *c) {
         reach += fabs(G[j]) * reachable(c, j, h);
     }
     const double upper = fmax(sqrt(most_bent / used), 1.0 - h / T) * size;
-    const double soft = gives_way(c) && c->proposal->hold == 0.0 ? BEND_GIVES_WAY : GIVES_WAY;
-    if (reach > upper) add_row(c, -INFINITY, upper, c->arms + c->joints + worst, soft);
+    const bool soft = gives_way(c) && c->proposal->hold == 0.0 && used <= BEND_GIVES_WAY_TO;
+    if (reach > upper) add_row(c, -INFINITY, upper, c->arms + c->joints + worst, soft ? BEND_GIVES_WAY : GIVES_WAY);
 }

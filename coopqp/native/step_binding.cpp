@@ -330,7 +330,7 @@ static void set_grasps(BoundCore &self, InOrNone &numbers) {
  * refused with its reason. */
 static void observe(BoundCore &self, const InOrNone &q, const Maybe &dt) {
     double length = NAN;
-    check_fit(!q.data || q.size == self.nq, "expected an array of float64 of the right length");
+    check_fit(!q.data || q.is_row(self.nq), "expected an array of float64 of the right length");
     if (dt && !nb::try_cast(*dt, length)) length = NAN;
     self.run<&Arithmetic::observe>(q.data, dt ? &length : nullptr);
     raise_interrupt(&self);
@@ -428,7 +428,7 @@ static int settle(BoundCore &self) {
 /* Steps without Python in between, to time the core alone; stops where a step is open. Returns how many were done. */
 static Py_ssize_t advance(BoundCore &self, Py_ssize_t steps, const InOrNone &q) {
     Py_ssize_t done = 0;
-    check_fit(!q.data || q.size == self.nq);
+    check_fit(!q.data || q.is_row(self.nq));
     for (; done < steps; done++) {
         self.run<&Arithmetic::observe>(q.data, nullptr);
         if (self.run<&Arithmetic::propose>() >= FILLED || self.interrupt) break;
@@ -510,7 +510,7 @@ static nb::object step_minding(BoundCore &self, nb::handle memory, const InOrNon
         return nb::bool_(false);
     const double *felt = wrenches_of(wrenches, self.arms);
     double length = NAN;
-    check_fit(!q.data || q.size == self.nq);
+    check_fit(!q.data || q.is_row(self.nq));
     if (dt && !nb::try_cast(*dt, length)) length = NAN;
     self.run<&Arithmetic::mind>(felt, length);
     observe(self, q, dt);

@@ -188,8 +188,8 @@ def test_arms_that_could_stay_clear_of_a_cart_are_not_slowed_by_their_bend_until
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("number", [79, 83])
-def test_arms_stay_together_where_a_cart_pushes_on_after_it_has_touched(number: int) -> None:
-    run = beside_cart(number, 15.0)
+@pytest.mark.parametrize(("number", "acceleration"), [(79, 15.0), (83, 15.0), (133, 5.0)])
+def test_arms_stay_together_where_a_cart_pushes_on_after_it_has_touched(number: int, acceleration: float) -> None:
+    run = beside_cart(number, acceleration)
     assert run.least < 0.0
     assert run.chain < 1e-5

@@ -402,7 +402,7 @@ def test_both_take_measurements_of_any_kind_of_array() -> None:
     run = pair(task, dt=0.01)
     kinds: list[Callable[[Array], Any]] = [
         list, tuple, np.float32, lambda q: np.repeat(q, 2)[::2], np.asfortranarray, lambda q: [*q, 0.0],
-        lambda q: "far", lambda q: q.astype(object), lambda q: q[:-1],
+        lambda q: "far", lambda q: q.astype(object), lambda q: q[:-1], lambda q: q[None], lambda q: q[:, None],
     ]  # fmt: skip
     for kind in kinds:
         step = run.take()

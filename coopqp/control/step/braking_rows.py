@@ -32,6 +32,7 @@ from coopqp.native.constants import (
     APPROACH_STEPS,
     APPROACH_TIME,
     BEND_GIVES_WAY,
+    BEND_GIVES_WAY_TO,
     BEND_OFF_PATH,
     BEND_SHARE,
     EDGE_SHARE,
@@ -84,7 +85,7 @@ class BrakingRows:
         to_singular, one = self._bounds(-away, distances, v, h, T), np.eye(len(v))
         up = self._bounds(one, limits.upper - x, v, h, T)
         down = self._bounds(-one, x - limits.lower, v, h, T)
-        bent, bend_bound, joint = self._bend(v, h, T, BEND_OFF_PATH if gives_way else BEND_SHARE)
+        bent, bend_bound, used, joint = self._bend(v, h, T, BEND_OFF_PATH if gives_way else BEND_SHARE)
         n, nv = len(distances), len(v)
         G = np.vstack([-away, one, bent])
         upper = np.concatenate([to_singular, up, [bend_bound]])
@@ -95,7 +96,7 @@ class BrakingRows:
         )
         some = np.abs(G) @ reach > np.minimum(upper, -lower)  # no admissible velocity breaks the others
         soft = np.full(len(G), GIVES_WAY)
-        if gives_way and not hold:
+        if gives_way and not hold and used <= BEND_GIVES_WAY_TO:
             soft[-1] = BEND_GIVES_WAY
         return Rows(G[some], lower[some], upper[some], soft[some], owner[some])
 
@@ -134,8 +135,8 @@ class BrakingRows:
         gentle = np.minimum(e / max(APPROACH_TIME, APPROACH_STEPS * h), stopping)
         return np.maximum(gentle, (1.0 - h / T) * s)
 
-    def _bend(self, v: Array, h: float, T: float, most: float) -> tuple[Array, float, int]:
-        """The row by the chain's bend (nv,), its bound for a largest share, and the joint that needs it."""
+    def _bend(self, v: Array, h: float, T: float, most: float) -> tuple[Array, float, float, int]:
+        """The row by the chain's bend (nv,), its bound for a largest share, the share, and the joint that needs it."""
         chain = self._chain
         pairs = zip(chain.jacobians, chain.moving_columns, strict=True)
         turning = np.array([bend(J, v[columns]) for J, columns in pairs])
@@ -144,8 +145,9 @@ class BrakingRows:
         row = v * self._metric
         size = math.sqrt(row @ v)
         if not used[joint] > 0.5 * most or not size > 0.0:
-            return row, np.inf, joint
-        return row / size, max(math.sqrt(most / used[joint]), 1.0 - h / T) * size, joint
+            return row, np.inf, 0.0, joint
+        bound = max(math.sqrt(most / used[joint]), 1.0 - h / T) * size
+        return row / size, bound, float(used[joint]), joint
 
 
 def least_singular_value(J: Array) -> tuple[float, Array]:
