@@ -211,7 +211,8 @@ def _stiffness(fit: SensorFit, to_object: Array, servos: Array, weight: Array | 
     """
     n = len(fit.arms)
     sizes: Array = np.abs(fit.gains[:, 0])
-    alive = sizes > _DEAD * sizes.max()
+    nearest = int(np.abs(np.log(np.maximum(sizes, 1e-300))).argmin())  # to what is told: a gain may be far too large
+    alive = sizes > _DEAD * sizes[nearest]
     heard = sizes[alive & (sizes > 0.0)]
     most = float(np.median(heard)) if len(heard) else 1.0
     if n == 2 and len(heard):

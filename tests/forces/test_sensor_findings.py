@@ -281,8 +281,9 @@ def ratio_of(*gains: float, weight: Array | None = None, load: Array = WEIGHT, r
 
 def test_without_a_load_most_sensors_tell_the_stiffness() -> None:
     assert ratio_of(1.0, 2.0, -1.5) == pytest.approx(1.5)
-    assert ratio_of(1.0, 2.0, 0.39) == pytest.approx(1.5), "a fifth of the largest is dead"
-    assert ratio_of(1.0, 2.0, 0.41) == pytest.approx(1.0)
+    assert ratio_of(1.0, 2.0, 0.19, ratio=1.0) == pytest.approx(1.5), "less than a fifth of what is told is dead"
+    assert ratio_of(1.0, 2.0, 0.21, ratio=1.0) == pytest.approx(1.0)
+    assert ratio_of(1.0, 1.2, 1000.0) == pytest.approx(1.2), "one that is far too loud makes no other dead"
     assert ratio_of(0.0, 0.0, 0.0) * RATIO == pytest.approx(1.0)
 
 
