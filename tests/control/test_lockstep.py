@@ -700,6 +700,16 @@ def test_both_agree_where_an_arm_is_singular_and_its_group_is_not(tmp_path: Path
     assert run.run(120).lowest == 1.0
 
 
+@pytest.mark.core
+@pytest.mark.parametrize("mode", ["nominal", "measured late, with noise", "always a QP", "no preview"])
+@pytest.mark.parametrize("acceleration", [5.0, np.inf])
+def test_both_agree_on_a_rail_under_arms_of_seven_joints(mode: str, acceleration: float) -> None:
+    task = ready("two_on_a_rail")
+    task = dataclasses.replace(task, cell=task.cell.with_limits(acceleration=acceleration))
+    assert task.cell.nv == 15
+    run_in(mode, task, 50, same=DISTURBED if np.isfinite(acceleration) else SAME)
+
+
 @pytest.mark.slow
 @pytest.mark.core
 def test_both_agree_where_a_group_evades_a_body() -> None:
