@@ -78,14 +78,20 @@ def one_each(value: Any, size: int, where: str, *, finite: bool = True, remedy: 
     """Return a new float vector of shape (size,) from one number or from size numbers.
 
     Raises:
-        InvalidInputError: another number of them, not numbers, or NaN or infinite entries unless not ``finite``.
+        InvalidInputError: another number of them, not numbers, NaN, or infinite entries unless not ``finite``.
     """
+    remedy = remedy or ("Give one." if size == 1 else f"Give one or {size}.")
     try:
         full = np.array(np.broadcast_to(as_floats(value), (size,)))
     except NOT_NUMBERS as error:
-        remedy = remedy or f"Give one or {size}."
-        raise InvalidInputError(f"is neither a number nor {size} numbers", where, remedy) from error
-    return as_vector(full, size, where) if finite else full
+        what = "is no number" if size == 1 else f"is neither a number nor {size} numbers"
+        raise InvalidInputError(what, where, remedy) from error
+    if finite:
+        return as_vector(full, size, where)
+    if np.isnan(full).any():
+        bad = np.flatnonzero(np.isnan(full)).tolist()
+        raise InvalidInputError("is NaN" if size == 1 else f"entries {bad} are NaN", where, remedy)
+    return full
 
 
 def as_scalar(value: Any, where: str, *, low: float = 0.0, high: float = np.inf, open_low: bool = True) -> float:

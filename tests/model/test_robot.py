@@ -310,7 +310,7 @@ def test_bad_limits_of_a_robot_are_named(field: str, tmp_path: Path) -> None:
     for bad, says in (
         ({"torso_9": 1.0}, rf"no joint named 'torso_9' in robot 'torso', {name}s\."),
         ({"torso_0": "fast"}, rf"robot 'torso': {name}s\['torso_0'\]"),
-        ({"torso_0": np.nan}, rf"{name.partition('_')[0]} has shape \(14,\) or NaN"),
+        ({"torso_0": np.nan}, rf"robot 'torso': {name}s\['torso_0'\]: is NaN"),
         ("fast", f"robot 'torso': {name}s: "),
         ([1.0, 2.0], f"robot 'torso': {name}s: "),
     ):
