@@ -241,6 +241,23 @@ def test_a_redundant_arm_is_led_away_from_its_limits() -> None:
     assert "another motion of its elbow was not found, but is not excluded" in check.explain()
 
 
+def test_a_redundant_arm_that_starts_on_a_limit_starts_inside() -> None:
+    """It leaves the limits later, at joint 0: another motion of its elbow is not excluded."""
+    cell, grasp, path = bar(arm_of("arm7"))
+    free = check_path(cell, grasp, path).arms[0].chosen
+    assert free is not None
+    first, lower, upper = free.q[0], cell.limits.lower.copy(), cell.limits.upper.copy()
+    moved = free.q[:, 0] - first[0]
+    far = float(moved[np.abs(moved).argmax()])
+    (upper if far > 0.0 else lower)[0] = first[0] + 0.4 * far
+    away = free.q - first
+    j = int(next(j for j in range(1, 7) if (away[:, j] >= 0.0).all() or (away[:, j] <= 0.0).all()))
+    (lower if away[-1, j] > 0.0 else upper)[j] = first[j]
+    check = check_path(cell.with_limits(lower=lower, upper=upper), grasp, path, q_start=cell.configuration(first))
+    assert check.verdict is UNDECIDED
+    assert "another motion of its elbow was not found, but is not excluded" in check.explain()
+
+
 def test_a_redundant_arm_is_infeasible_where_it_has_no_configuration() -> None:
     cell, grasp, path = bar(arm_of("arm7"))
     away = LinePath.displaced(path.pose(0.0), translation=(3.0, 0.0, 0.0), duration=1.0)
