@@ -122,6 +122,30 @@ EQUIVALENT: dict[tuple[str, str, str], str] = {
         "coopqp/files/cellfile/hints.py": {
             ("_ANY = 1e9", "_ANY = 1000000001.0"): "either internal force binds nothing",
         },
+        "coopqp/control/step/contact.py": {
+            (
+                "if far > motion.attach_m or turned > motion.attach_rad:",
+                "if far > motion.attach_m or turned >= motion.attach_rad:",
+            ): "an angle of exactly the tolerance",
+        },
+        "coopqp/native/chain_ahead.cpp": {
+            (
+                "const int n = Symmetric::RowsAtCompileTime < 0 ? (int)G.rows() : Symmetric::RowsAtCompileTime;",
+                "const int n = Symmetric::RowsAtCompileTime < 1 ? (int)G.rows() : Symmetric::RowsAtCompileTime;",
+            ): "the number of rows is negative where it is not known, and at least 1 where it is",
+        },
+        "coopqp/planning/certificate.py": {
+            (
+                "return answer.q, np.empty((len(guess), 0, 6)), answer.residual <= exact",
+                "return answer.q, np.empty((len(guess), 0, 6)), answer.residual < exact",
+            ): "a miss of exactly the tolerance",
+        },
+        "coopqp/planning/phase_checks.py": {
+            (
+                "if until < span.start - _END:",
+                "if until <= span.start - _END:",
+            ): "a time of exactly the tolerance before",
+        },
         "coopqp/simulation/plants/physics.py": {
             (
                 "palms=None if self.palms is None else dict(zip(cell.arm_names, self.palms, strict=True)),",
@@ -131,6 +155,7 @@ EQUIVALENT: dict[tuple[str, str, str], str] = {
         "coopqp/control/monitoring/supervision.py": {
             ("if o.let_in > 0.0:", "if o.let_in > -1.0:"): "with 0 no drift is let in, only later",
             ("if radius != 1.0:", "if radius != 2.0:"): "a division by 1",
+            ("if radius != 1.0:", "if radius != 0.0:"): "a division by 1",
             (
                 "if far > self._options.joint_jump:",
                 "if far >= self._options.joint_jump:",
