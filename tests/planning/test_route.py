@@ -13,10 +13,19 @@ import route_cases
 import route_shelves
 from marks import slow_but_first
 
-from coopqp import CollisionScene, InvalidInputError, JointLimits, LinePath, QPController, find_path, inverse_kinematics
+from coopqp import (
+    CollisionScene,
+    InvalidInputError,
+    JointLimits,
+    LinePath,
+    QPController,
+    find_path,
+    inverse_kinematics,
+)
 from coopqp.collision import Body, Box, Capsule
 from coopqp.collision.distances import Distances
 from coopqp.collision.edges_plain import PlainEdges
+from coopqp.model import CellState
 from coopqp.model.batch import ArmKinematics
 from coopqp.native import compiled
 from coopqp.paths.geometry import blended
@@ -359,16 +368,35 @@ def test_corners_are_rounded_off_within_their_own_distances() -> None:
     assert nearest[1] < 1e-3
 
 
-@pytest.mark.slow
-def test_elbows_go_over_to_others_where_their_least_motion_does_not_get_through() -> None:
+def over_shelves() -> tuple[Any, Any]:
+    """A problem, and a way with a motion of the elbows that is proved."""
     problem = route_shelves.problem(("bottom", "top"))
-    cell, scene = problem.cell, problem.scene
     route = search(problem, nodes=3000)
     assert route.verdict is RouteVerdict.FOUND
     assert route.path is not None
     assert route.check is not None
     assert route.check.verdict is PathVerdict.CERTIFIED
     assert route.path.elbows is not None
+    return problem, route
+
+
+def test_elbows_go_over_to_others_where_their_least_motion_does_not_get_through() -> None:
+    problem, route = over_shelves()
+    cell, x = problem.cell, problem.cell.positions(problem.q_start)
+    for k, (arm, held) in enumerate(zip(route.check.arms, problem.grasp.T_object_tool, strict=True)):
+        way, own = arm.chosen, cell.columns[k]
+        np.testing.assert_allclose(way.q[0], x[own], atol=1e-6)
+        assert np.abs(np.diff(way.q, axis=0)).max() < 0.5
+        for clock, q in zip(way.clocks[::20], way.q[::20], strict=True):
+            x[own] = q
+            tool = CellState(cell, cell.configuration(x)).T_world_tool[k]
+            np.testing.assert_allclose(tool.homogeneous, (route.path.pose(clock) * held).homogeneous, atol=1e-6)
+
+
+@pytest.mark.slow
+def test_a_controller_follows_elbows_that_go_over() -> None:
+    problem, route = over_shelves()
+    cell, scene = problem.cell, problem.scene
     # The oracle: a run of a controller, its distances by coal, its chain by Pinocchio.
     for planned in (route.path, route.timed().path):
         controller = QPController(cell, problem.grasp, planned, dt=0.01)
