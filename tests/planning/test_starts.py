@@ -35,8 +35,10 @@ from coopqp.errors import NoStartError, StartWarning, UnknownNameError, Unreacha
 from coopqp.files import CellFileError
 from coopqp.model import CellState
 from coopqp.model.batch import ArmKinematics
+from coopqp.model.branches import find_branches
 from coopqp.native import available_kernels
-from coopqp.scenarios import Scenario, dual_arm7, mixed_cell, robot_path, scara_pair
+from coopqp.planning.arm_starts import arm_on_path
+from coopqp.scenarios import Scenario, dual_arm7, mixed_cell, paper_lift, robot_path, scara_pair
 
 TASKS = {"mixed_cell": mixed_cell, "dual_arm7": dual_arm7, "scara_pair": scara_pair}
 
@@ -360,3 +362,20 @@ def test_a_cell_file_without_a_start_says_what_is_wrong(tmp_path: Path) -> None:
         load_cell_file(cell_file(tmp_path, x=5.0))
     with pytest.raises(CellFileError, match=r'start: give a table or "auto"'):
         load_cell_file(cell_file(tmp_path, start='start = "home"'))
+
+
+def test_starts_of_a_redundant_arm_are_also_led_away_from_its_limits() -> None:
+    """Its elbow may stand anywhere; an arm of six joints has its branches alone."""
+    for make, redundant in ((dual_arm7, True), (paper_lift, False)):
+        task = make()
+        samples, X = sample_path(task.path, task.grasp), task.grasp.T_object_tool[0]
+        kinematics, near = ArmKinematics(task.cell.arms[0]), task.q_start[None, task.cell.q_slices[0]]
+        found = find_branches(kinematics, samples.tool_poses(X)[0], near=near)
+        rows = arm_on_path(kinematics, samples, X, near=near).branches
+        for row in rows:
+            assert kinematics.solve(samples.tool_poses(X)[:1], row.q[None], steps=1).residual[0] < 1e-8
+        others = [row.q for row in rows if np.abs(found.q - row.q).max(axis=1).min() > 1e-3]
+        assert bool(others) is redundant
+        if redundant:
+            room = kinematics.margins(np.array(others)).min(axis=1)
+            assert room.min() > np.median(kinematics.margins(found.q).min(axis=1))
