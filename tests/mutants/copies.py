@@ -78,14 +78,18 @@ for line in sys.stdin:
 """
 
 
+def _left_out(_: str, names: list[str]) -> set[str]:
+    """What tests do not read."""
+    hidden = {name for name in names if name.startswith(".")} - {".ci", ".github", ".gitignore"}
+    return hidden | {"out", "build", "dist", "__pycache__"}
+
+
 class Copy:
     """A copy of the tree, with the compiled module for the processor's plain arithmetic."""
 
     def __init__(self, folder: Path) -> None:
         self.folder = folder
-        shutil.copytree(
-            ROOT, folder, ignore=shutil.ignore_patterns(".*", "out", "build", "dist", "__pycache__"), symlinks=True
-        )
+        shutil.copytree(ROOT, folder, ignore=_left_out, symlinks=True)
         self.compiled = c.compile_copy(folder)
         path = [str(folder / "tests" / "elsewhere"), str(folder)]
         self._environment = {
