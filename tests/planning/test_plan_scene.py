@@ -54,7 +54,6 @@ def cornered(paper: Scenario) -> tuple[Scenario, list[Straight], CollisionScene]
     return task, lines, replace(scene, ignored=others)
 
 
-@pytest.mark.slow
 def test_the_largest_clear_tolerance_of_blends_is_offered(paper: Scenario) -> None:
     """The tolerance in the message works, and a slightly larger one does not, by a count of its own."""
     task, lines, scene = cornered(paper)

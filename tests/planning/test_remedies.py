@@ -15,6 +15,7 @@ from coopqp import Grasp, HoldPath, LinePath, ObjectPath, RobotCell, WaypointPat
 from coopqp.model.shapes import NearPair
 from coopqp.planning import PathCheck, PathVerdict, find_remedies
 from coopqp.planning.arm_check import UndecidedInterval
+from coopqp.planning.arm_starts import rolled
 from coopqp.planning.check import Remedy, places_along
 from coopqp.planning.clearance_check import ClearanceCheck
 from coopqp.planning.remedies import Remedies, shifted
@@ -173,3 +174,21 @@ def test_places_along_a_path_count_its_pieces(check: PathCheck) -> None:
     s = np.array([0.0, 0.25 * first, first * (1.0 - 1e-12), first, first + 0.5 * (end - first), end])
     np.testing.assert_array_equal(places_along(geometry, s)[[0, 2, 3, 5]], [0.0, 1.0, 1.0, 2.0])
     np.testing.assert_allclose(places_along(geometry, s), [0.0, 0.25, 1.0, 1.0, 1.5, 2.0], atol=1e-9)
+
+
+@pytest.mark.parametrize("turned", [90.0, -90.0])
+def test_a_tool_that_is_held_a_quarter_turn_off_is_turned_back(check: PathCheck, turned: float) -> None:
+    """The joints of one arm have room about its way along the path alone."""
+    cell, own, chosen = check.cell, check.cell.columns[1], check.arms[1].chosen
+    assert chosen is not None
+    lower, upper = cell.limits.lower.copy(), cell.limits.upper.copy()
+    lower[own], upper[own] = chosen.q.min(axis=0) - 0.1, chosen.q.max(axis=0) + 0.1
+    tools = list(check.grasp.T_object_tool)
+    tools[1] = rolled(tools[1], np.deg2rad(turned))
+    off = check_path(cell.with_limits(lower=lower, upper=upper), Grasp(tuple(tools)), check.path)
+    assert off.verdict is INFEASIBLE
+    first = find_remedies(off)[0]
+    assert first.kind == "roll"
+    assert first.text == f"roll the tool of arm slave_1 by {-turned:.0f}°"
+    np.testing.assert_allclose(first.roll, [0.0, -np.deg2rad(turned), 0.0])
+    assert first.check.verdict is CERTIFIED
