@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import FrozenInstanceError, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pinocchio as pin
@@ -14,7 +16,7 @@ from coopqp import Arm, Grasp, RobotCell, check_path
 from coopqp.errors import NoStartError
 from coopqp.scenarios import dual_arm7, paper_lift
 from coopqp.studies import Goals
-from coopqp.studies.drafting import Draft, Motion, draft, positions_of, reach
+from coopqp.studies.drafting import ArmDraft, Draft, Motion, draft, positions_of, reach
 
 MOTION = Motion(size=(0.4, 0.3, 0.1), translation=(0.05, 0.0, 0.2), turn_deg=20.0, duration=4.0)
 ARMS = list(paper_lift().cell.arms)[:2]
@@ -124,10 +126,58 @@ def test_arms_stand_evenly_around_the_object() -> None:
     assert found.placed.feasible
 
 
-@pytest.mark.slow
 def test_arms_that_would_come_too_close_wherever_they_stand_are_refused_with_the_reason() -> None:
     with pytest.raises(NoStartError, match=r"no place was found for the bases: .* come inside their margin of 5000 mm"):
         draft(ARMS, MOTION, goals=Goals(clearance_mm=5000.0))
+
+
+def limited(arm: Arm, joint: int, lower: float, upper: float) -> Arm:
+    low, high = arm.limits.lower.copy(), arm.limits.upper.copy()
+    low[joint], high[joint] = lower, upper
+    return replace(arm, limits=arm.limits.replace(lower=low, upper=high))
+
+
+def on_the_floor(folder: Path) -> Arm:
+    """An arm whose first joint stands at its base, its second one 0.1 m above."""
+    file = folder / "arm.urdf"
+    ball = '<link name="base"><collision><geometry><sphere radius="0.05"/></geometry></collision></link>'
+    text = two_arms(()).replace('<link name="base"/>', ball).replace('xyz="0 0.3 0.4"', 'xyz="0 0 0"')
+    file.write_text(text, encoding="utf-8")
+    return Arm.from_urdf("left", file, tool_frame="left_link_5")
+
+
+def test_an_arm_whose_first_joint_may_not_point_ahead_is_turned_as_a_whole() -> None:
+    """It stands at the object's −x side all the same."""
+    found = draft([limited(ARMS[0], 0, 0.6, 2.6)], MOTION)
+    assert found.placed.feasible
+    (own,) = found.arms
+    x, y = np.array(own.base_xyz[:2]) - MOTION.path(found.height).pose(2.0).translation[:2]
+    assert abs(np.rad2deg(np.arctan2(y, -x))) < 25.0
+    tool = MOTION.path(found.height).pose(2.0) * own.tool
+    ahead = np.arctan2(*(tool.translation - own.base.translation)[1::-1]) - np.deg2rad(own.base_yaw_deg)
+    assert 0.4 < (ahead + np.pi) % (2.0 * np.pi) - np.pi < 2.8
+
+
+def test_no_elbow_is_below_the_floor(tmp_path: Path) -> None:
+    """Where the upper arm has to hang down there is no place; else the base itself may stand on the floor."""
+    low = Motion(size=(0.1, 0.1, 0.1), translation=(0.0, 0.0, 0.02), turn_deg=0.0, duration=1.0)
+    arm = on_the_floor(tmp_path)
+    assert draft([arm], low).placed.feasible
+    with pytest.raises(NoStartError, match="no place was found for the bases: an elbow is below the floor"):
+        draft([limited(arm, 1, 2.0, 2.9)], low)
+
+
+def test_drafts_and_motions_do_not_change(drafted: Draft) -> None:
+    for thing, field in ((MOTION, "turn_deg"), (drafted.arms[0], "score"), (drafted, "height")):
+        values: Any = thing
+        with pytest.raises(FrozenInstanceError):
+            setattr(values, field, 1.0)
+    with pytest.raises(TypeError):
+        ArmDraft((0.0, 0.0, 0.0), 0.0, (0.0, 0.0, 0.0), (0.0, 0.0, 0.0), 1.0)  # type: ignore[misc]
+
+
+def test_a_placement_is_good_from_these_goals_on() -> None:
+    assert Goals() == Goals(sigma_min=0.2, margin_deg=60.0, margin_mm=100.0, clearance_mm=10.0)
 
 
 @pytest.mark.parametrize("axis", [tuple(row) for row in np.concatenate([np.eye(3), -np.eye(3)]).tolist()])

@@ -267,6 +267,19 @@ def test_bodies_that_come_too_close_are_named_with_their_place_and_time() -> Non
     assert placer.cell_at([T * pin.SE3(np.eye(3), np.array([0.0, 0.0, -9.0])) for T in bases]).why.count("arm ") == 3
 
 
+def test_a_search_keeps_the_best_of_what_it_asked(tmp_path: Path) -> None:
+    made = load_place_study(study(tmp_path, "h = { low = 3.45, high = 3.75 }"))
+    asked: list[tuple[int, int]] = []
+    found = made.search(lambda done, total: asked.append((done, total)), generations=1)
+    assert found.feasible
+    assert found.rank[0] >= made.at({"h": 3.6}).rank[0] - 0.02
+    assert 3.45 <= dict(found.values)["h"] <= 3.75
+    assert [done for done, _ in asked] == sorted(done for done, _ in asked)
+    assert asked[0][0] == 1
+    assert asked[-1][0] <= asked[-1][1]
+    assert len({total for _, total in asked}) == 1
+
+
 @pytest.mark.slow
 def test_a_search_over_three_numbers_is_as_good_as_a_grid(tmp_path: Path) -> None:
     axes = "h = { low = 3.3, high = 3.8 }, y = { low = 0.3, high = 0.8 }, z = { low = -0.3, high = 0.3 }"
