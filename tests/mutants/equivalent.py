@@ -146,6 +146,12 @@ EQUIVALENT: dict[tuple[str, str, str], str] = {
                 "if until <= span.start - _END:",
             ): "a time of exactly the tolerance before",
         },
+        "coopqp/studies/placing.py": {
+            (
+                "least, pair, at = np.inf, 0, 0",
+                "least, pair, at = np.inf, 0, 1",
+            ): "the distance at the first sample is smaller than infinity",
+        },
         "coopqp/simulation/plants/physics.py": {
             (
                 "palms=None if self.palms is None else dict(zip(cell.arm_names, self.palms, strict=True)),",

@@ -167,6 +167,14 @@ def test_no_elbow_is_below_the_floor(tmp_path: Path) -> None:
         draft([limited(arm, 1, 2.0, 2.9)], low)
 
 
+def test_a_turn_is_shared_out_to_both_sides_of_the_wrist_s_middle() -> None:
+    """The last joint has room for 86° in all, and the object turns by 60°."""
+    turned = Motion(size=(0.3, 0.3, 0.1), translation=(0.0, 0.0, 0.1), turn_deg=60.0, duration=4.0)
+    found = draft([limited(ARMS[0], 5, -0.75, 0.75)], turned)
+    assert found.placed.feasible
+    assert found.placed.arms[0].margin > 0.0
+
+
 def test_drafts_and_motions_do_not_change(drafted: Draft) -> None:
     for thing, field in ((MOTION, "turn_deg"), (drafted.arms[0], "score"), (drafted, "height")):
         values: Any = thing

@@ -186,6 +186,21 @@ def test_a_cell_file_is_varied_by_its_keys(tmp_path: Path) -> None:
     assert "slave_1" in far["reason"]
 
 
+def test_a_case_with_a_wrong_value_is_named(tmp_path: Path) -> None:
+    text = """
+    name = "s"
+    scenario = "paper_lift"
+    [[cases]]
+    name = "right"
+    set = { steps = 4 }
+    [[cases]]
+    name = "wrong"
+    set = { steps = -4 }
+    """
+    with pytest.raises(StudyError, match="case 'wrong': "):
+        load_study(study_file(tmp_path, text))
+
+
 def test_the_figures_of_a_row_are_those_of_the_run(tmp_path: Path) -> None:
     text = 'name = "s"\nscenario = "paper_lift"\n[set]\nsteps = 40\ncontroller = { kind = "pseudo_inverse" }\n'
     row = RowTask(load_study(study_file(tmp_path, text)))(0)
