@@ -13,7 +13,7 @@ from typing import Any
 import pytest
 
 from coopqp.errors import OutputError
-from coopqp.studies import Engine, Study, StudyError, load_study, sweep
+from coopqp.studies import Engine, Study, StudyError, load_study, run_rows, sweep
 from coopqp.studies.journal import Journal, read_journal
 from coopqp.studies.study import versions
 from coopqp.studies.sweeping import rows_found, table_of_rows
@@ -37,7 +37,7 @@ class Here(Engine):
     chunk_s, tries, workers = 1.0, 2, 1
 
     def __init__(self, end: int = 100) -> None:
-        self.end, self.asked = end, list[int]()
+        self.end, self.asked, self.chunks = end, list[int](), list[int]()
 
     @contextlib.contextmanager
     def open(self, workers: int) -> Iterator[Executor]:
@@ -57,6 +57,7 @@ class At(Executor):
     def submit(self, function: Any, /, *arguments: Any, **_: Any) -> Future[Any]:
         future: Future[Any] = Future()
         self.engine.asked.extend(arguments[1])
+        self.engine.chunks.append(len(arguments[1]))
         if max(arguments[1]) > self.engine.end:
             future.set_exception(BrokenExecutor())
         else:
@@ -212,3 +213,11 @@ def test_a_row_of_the_table_has_its_settings_before_its_figures(tmp_path: Path) 
         "row": 3, "controller.kind": "pseudo_inverse", "scenario.duration": 2.0, "draw": 0, "repeat": 1,
         "outcome": "ok", "steps": 7,
     }]  # fmt: skip
+
+
+def test_rows_that_take_no_time_are_shared_out_to_what_the_workers_have_in_hand() -> None:
+    """Two chunks each: of the nine that are left after the first two rows five are sent, then two."""
+    engine = Here()
+    run_rows(lambda row: {"x": row}, range(11), engine, take=lambda _: None)
+    assert engine.asked == list(range(11))
+    assert engine.chunks[:4] == [1, 1, 5, 2]
