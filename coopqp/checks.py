@@ -82,7 +82,8 @@ def one_each(value: Any, size: int, where: str, *, finite: bool = True, remedy: 
     """
     remedy = remedy or ("Give one." if size == 1 else f"Give one or {size}.")
     try:
-        full = np.array(np.broadcast_to(as_floats(value), (size,)))
+        given = as_floats(value)
+        full = np.array(np.broadcast_to(given, (size,)))
     except NOT_NUMBERS as error:
         what = "is no number" if size == 1 else f"is neither a number nor {size} numbers"
         raise InvalidInputError(what, where, remedy) from error
@@ -90,7 +91,7 @@ def one_each(value: Any, size: int, where: str, *, finite: bool = True, remedy: 
         return as_vector(full, size, where)
     if np.isnan(full).any():
         bad = np.flatnonzero(np.isnan(full)).tolist()
-        raise InvalidInputError("is NaN" if size == 1 else f"entries {bad} are NaN", where, remedy)
+        raise InvalidInputError("is NaN" if given.size == 1 else f"entries {bad} are NaN", where, remedy)
     return full
 
 

@@ -55,7 +55,7 @@ class Payload:
             return np.where((model > 0.0) & (model < 1e9), model, np.inf)
         given = one_each(self.torque, cell.nv, "Payload: torque", finite=False)
         if not (given > 0.0).all():
-            raise InvalidInputError("entries ≤ 0 or NaN", "Payload: torque", f"Give one, or {cell.nv}.")
+            raise InvalidInputError("entries ≤ 0", "Payload: torque", f"Give one, or {cell.nv}.")
         return given
 
 

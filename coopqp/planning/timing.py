@@ -210,7 +210,7 @@ def _as_jerks(jerk: ArrayLike, nv: int, where: str) -> Array:
     remedy = f"Give one number, or {nv} [rad/s³ or m/s³]."
     given = one_each(jerk, nv, f"{where}: jerk", finite=False, remedy=remedy)
     if not (given > 0.0).all():
-        raise InvalidInputError("entries ≤ 0 or NaN", f"{where}: jerk", remedy)
+        raise InvalidInputError("entries ≤ 0", f"{where}: jerk", remedy)
     return given
 
 

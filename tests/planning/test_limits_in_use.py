@@ -185,7 +185,7 @@ def test_torque_limits_are_the_models_unless_given() -> None:
 
 @pytest.mark.parametrize("torque", [0.0, -0.5, np.nan, [1.0, 2.0, 3.0, 4.0, 5.0, 0.0]])
 def test_torque_limits_have_to_be_above_zero(torque: object) -> None:
-    with pytest.raises(InvalidInputError, match=r"torque.*entries ≤ 0 or NaN|entries ≤ 0 or NaN.*torque"):
+    with pytest.raises(InvalidInputError, match=r"Payload: torque: (entries ≤ 0|is NaN)\."):
         Payload(mass=1.0, torque=torque).limits(effort_cell([1.0] * 6))
 
 
