@@ -14,6 +14,7 @@ from torsos import two_arms
 
 from coopqp import Arm, Grasp, RobotCell, check_path
 from coopqp.errors import NoStartError
+from coopqp.model.batch import ArmKinematics
 from coopqp.scenarios import dual_arm7, paper_lift
 from coopqp.studies import Goals
 from coopqp.studies.drafting import ArmDraft, Draft, Motion, draft, positions_of, reach
@@ -202,3 +203,105 @@ def test_the_axis_out_of_a_tool_points_down(axis: tuple[float, float, float], tm
     arm = Arm.from_urdf("left", file, tool_frame="tool")
     (own,) = draft([arm], Motion(size=(0.1, 0.1, 0.1), translation=(0.0, 0.0, 0.02), turn_deg=0.0, duration=1.0)).arms
     np.testing.assert_allclose(own.tool.rotation @ np.array(axis), [0.0, 0.0, -1.0], atol=1e-9)
+    assert all(multiple(angle, 90.0) for angle in own.tool_rpy_deg[:2])
+
+
+SMALL = Motion(size=(0.1, 0.1, 0.1), translation=(0.0, 0.0, 0.02), turn_deg=0.0, duration=1.0)
+
+
+def one_arm(folder: Path, name: str = "left", *, ball: float = 0.05, **limits: str) -> Arm:
+    """The left arm of a torso: radius of its base [m], limits of joints [rad]."""
+    body = f'<link name="base"><collision><geometry><sphere radius="{ball}"/></geometry></collision></link>'
+    text = two_arms(()).replace('<link name="base"/>', body)
+    for joint, limit in limits.items():
+        before, named, after = text.partition(f'<joint name="{joint}"')
+        text = before + named + after.replace('lower="-2.9" upper="2.9"', limit, 1)
+    file = folder / f"{name}.urdf"
+    file.write_text(text, encoding="utf-8")
+    return Arm.from_urdf(name, file, tool_frame="left_link_5")
+
+
+def seen_from_grasp(found: Draft, motion: Motion) -> list[float]:
+    """Directions from the arms' grasps, in the middle of the path, to their bases [deg]."""
+    middle = motion.path(found.height).pose(0.5 * motion.duration)
+    away = [own.base.translation - middle.act(own.tool.translation) for own in found.arms]
+    return [float(np.rad2deg(np.arctan2(y, x))) for x, y, _ in away]
+
+
+def test_an_arm_that_cannot_turn_ahead_works_at_its_side(tmp_path: Path) -> None:
+    """Its base is turned instead, so that it is on its side of the object as any other."""
+    found = draft([one_arm(tmp_path, left_0='lower="0.5" upper="1.5"')], SMALL)
+    assert found.placed.feasible
+    assert 0.5 < found.placed.arms[0].q[0] < 1.5
+    (direction,) = seen_from_grasp(found, SMALL)
+    assert abs(abs(direction) - 180.0) < 10.0
+
+
+def test_a_wrist_of_little_room_turns_from_one_side_to_the_other(tmp_path: Path) -> None:
+    """The tool is turned to the object as it is halfway, so that a wrist of ±1 rad follows a turn of 80°."""
+    arm = one_arm(tmp_path, left_3='lower="-1" upper="1"', left_5='lower="-1" upper="1"')
+    motion = Motion(size=(0.1, 0.1, 0.1), translation=(0.0, 0.0, 0.02), turn_deg=80.0, duration=1.0)
+    found = draft([arm], motion)
+    assert found.placed.feasible
+    assert abs(found.placed.arms[0].q[5]) < 1.0
+    assert found.arms[0].score > 0.3
+
+
+def test_bases_that_touch_at_the_best_places_are_given_others(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("coopqp.studies.drafting._HIGHEST", 0.9)
+    motion = Motion(size=(0.4, 0.3, 0.1), translation=(0.0, 0.0, 0.1), turn_deg=20.0, duration=1.0)
+    narrow = draft([one_arm(tmp_path, name) for name in ("one", "two")], motion)
+    wide = draft([one_arm(tmp_path, name, ball=0.8) for name in ("one", "two")], motion)
+    assert narrow.height == wide.height
+    assert narrow.arms != wide.arms
+    assert wide.placed.feasible
+    assert wide.placed.score < narrow.placed.score
+
+
+def test_the_first_candidate_is_as_good_as_all(monkeypatch: pytest.MonkeyPatch) -> None:
+    (best,) = draft(ARMS[:1], SMALL).arms
+    monkeypatch.setattr("coopqp.studies.drafting._CANDIDATES", 1)
+    assert draft(ARMS[:1], SMALL).arms == (best,)
+
+
+@pytest.mark.parametrize("goals", [Goals(), Goals(sigma_min=5.0)], ids=["margins bind", "σ_min binds"])
+def test_the_score_of_an_arm_is_the_worst_along_its_path(goals: Goals) -> None:
+    """At 21 poses from the start on, by the kinematics of the arm in its place."""
+    found = draft(ARMS, MOTION, goals=goals)
+    path = MOTION.path(found.height)
+    for arm, own, at in zip(ARMS, found.arms, found.placed.arms, strict=True):
+        kinematics = ArmKinematics(arm.placed(own.base))
+        poses = np.array([(path.pose(t) * own.tool).homogeneous for t in np.linspace(0.0, 4.0, 21)])
+        q = kinematics.trajectories(poses, at.q[None])[0][0]
+        sigma = np.linalg.svd(kinematics.jacobians(q), compute_uv=False)[:, -1].min()
+        margin = np.minimum(q - kinematics.lower, kinematics.upper - q).min()
+        assert own.score == pytest.approx(min(sigma / goals.sigma_min, np.rad2deg(margin) / goals.margin_deg), rel=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("size", "tools"),
+    [
+        ((0.4, 0.3, 0.1), [(-0.15, 0.0, 0.05), (0.15, 0.0, 0.05)]),  # 50 mm inside the edge
+        ((0.24, 0.3, 0.2046), [(-0.09, 0.0, 0.1023), (0.09, 0.0, 0.1023)]),  # a quarter of the half side
+    ],
+)
+def test_grasps_stay_away_from_the_edges(size: Any, tools: Any) -> None:
+    motion = Motion(size=size, translation=(0.0, 0.0, 0.1), turn_deg=0.0, duration=2.0)
+    found = draft(ARMS, motion)
+    assert [own.tool_xyz for own in found.arms] == tools
+    assert found.height >= 0.5 * size[2] + 0.05 - 1e-9
+
+
+def test_the_reach_of_a_sliding_arm_is_within_its_limits_or_ten_metres(tmp_path: Path) -> None:
+    text = (
+        '<robot name="rail"><link name="base"/><link name="cart"/><link name="tool"/>'
+        '<joint name="slide" type="prismatic"><parent link="base"/><child link="cart"/><axis xyz="1 0 0"/>'
+        '<limit {limits} velocity="1" effort="100"/></joint><joint name="turn" type="revolute"><parent link="cart"/>'
+        '<child link="tool"/><origin xyz="0.5 0 0"/><axis xyz="1 0 0"/>'
+        '<limit lower="-1" upper="1" velocity="1" effort="100"/></joint></robot>'
+    )
+    for limits, farthest in (('lower="0.1" upper="0.4"', 0.9), ('lower="-0.2" upper="0"', 0.5),
+                             ('lower="-200" upper="200"', 10.5), ('lower="-200" upper="0"', 9.5)):  # fmt: skip
+        file = tmp_path / "rail.urdf"
+        file.write_text(text.format(limits=limits), encoding="utf-8")
+        assert reach(Arm.from_urdf("rail", file, tool_frame="tool")) == pytest.approx(farthest, abs=0.02)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import signal
 from concurrent.futures import BrokenExecutor, Future
 from typing import Any, ClassVar
 
@@ -129,6 +130,7 @@ def test_a_pool_of_this_machine_that_lost_a_worker_is_broken() -> None:
     assert not engine.has_died(RuntimeError())
     assert engine.is_broken(BrokenExecutor())
     assert engine.tries == 3
+    assert (Local.chunk_s, Cluster.chunk_s) == (0.25, 3.0)  # a chunk costs a cluster more
 
 
 def test_there_is_a_worker_for_each_core_unless_a_number_is_given(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -145,7 +147,7 @@ def test_there_is_a_worker_for_each_core_unless_a_number_is_given(monkeypatch: p
 def test_workers_have_one_thread_each_and_no_more_of_them_start_than_asked(monkeypatch: pytest.MonkeyPatch) -> None:
     from joblib.externals.loky import process_executor
 
-    said: ClassVar[list[Any]] = []
+    said: list[Any] = []
 
     class Processes:
         def __init__(self, **options: Any) -> None:
@@ -178,11 +180,11 @@ def test_a_worker_leaves_ctrl_c_to_its_coordinator_and_ends_with_it(monkeypatch:
         def start(self) -> None:
             self.work[0](*self.work[1])
 
-    monkeypatch.setattr(engines.threading, "Thread", Thread)
-    monkeypatch.setattr(engines.signal, "signal", lambda *pair: said.append(pair))
-    monkeypatch.setattr(engines.os, "getppid", lambda: next(parents))
-    monkeypatch.setattr(engines.os, "_exit", lambda status: said.append(("exit", status)))
-    monkeypatch.setattr(engines.time, "sleep", lambda seconds: said.append(("sleep", seconds)))
+    monkeypatch.setattr("coopqp.studies.engines.threading.Thread", Thread)
+    monkeypatch.setattr("coopqp.studies.engines.signal.signal", lambda *pair: said.append(pair))
+    monkeypatch.setattr("coopqp.studies.engines.os.getppid", lambda: next(parents))
+    monkeypatch.setattr("coopqp.studies.engines.os._exit", lambda status: said.append(("exit", status)))
+    monkeypatch.setattr("coopqp.studies.engines.time.sleep", lambda seconds: said.append(("sleep", seconds)))
     from joblib.externals.loky import process_executor
 
     class Processes:
@@ -196,9 +198,8 @@ def test_a_worker_leaves_ctrl_c_to_its_coordinator_and_ends_with_it(monkeypatch:
     monkeypatch.setattr(process_executor, "ProcessPoolExecutor", Processes)
     with Local(1).open(1):
         pass
-    signals = engines.signal
     assert said == [
-        (signals.SIGINT, signals.SIG_IGN), ("daemon", True), ("sleep", 1.0), ("sleep", 1.0), ("exit", 1),
+        (signal.SIGINT, signal.SIG_IGN), ("daemon", True), ("sleep", 1.0), ("sleep", 1.0), ("exit", 1),
     ]  # fmt: skip
 
 
