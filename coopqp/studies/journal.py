@@ -76,8 +76,8 @@ class Journal:
         try:
             if fcntl is not None:
                 fcntl.flock(self._stream, fcntl.LOCK_EX | fcntl.LOCK_NB)
-            self.entries, self._size = read_journal(file)
-            self._stream.truncate(self._size)
+            self.entries, size = read_journal(file)
+            self._stream.truncate(size)
         except BlockingIOError as error:
             self._stream.close()
             raise StudyError(f"another program writes {file}. Wait until it ends.") from error
@@ -103,7 +103,6 @@ class Journal:
             while rest:
                 rest = rest[self._stream.write(rest) :]
             os.fsync(self._stream.fileno())
-            self._size += len(text)
         except OSError as error:
             raise OutputError(
                 f"cannot write {self.file}: {error.strerror}. Finished rows are kept: make room, then use --resume."
