@@ -369,11 +369,10 @@ class Relaxation:
         """
         o = self.options
         settled = o.delay + 4.0 * o.filter_time + 2.0 * dt
+        self._pressing += dt
         felt = self._yields @ self.internal.ravel()
         if self._felt is None:
             self._felt = felt
-            return False
-        self._pressing += dt  # since then
         if self._pressing <= settled:  # nothing is done yet
             self._grows = (felt - self._felt) / self._pressing
             self._base = self.internal.copy()
