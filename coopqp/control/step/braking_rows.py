@@ -75,7 +75,7 @@ class BrakingRows:
             h: length of the next step [s].
             about: origin of the object (3,) [m].
             gives_way: the arms have left their path to give way.
-            hold: the arms come to rest, for one, as a body overlaps them: there is nothing left to avoid.
+            hold: the arms are to rest, as they are where bodies overlap; then no row gives way to a body.
         """
         chain, limits, speed = self._chain, self._chain.cell.limits, np.abs(v)
         chain.evaluate(q, about)
