@@ -99,6 +99,8 @@ static Trial try_knot(Core *c, int last, int made, double span, int iteration);
 /* Where the twist jumps at knot i: slopes after it, and the rate at which the joints can take the jump; 0 if the path
  * fails. */
 static int turn_corner(Core *c, int i);
+/* Where the joints are expected a span after knot `last`: as q′ and q″ go on, or with the elbows that lead them. */
+static void expect(const Core *c, int last, double span, double *x);
 /* The last known knot once more, as the first tentative one, where the path ends moving; 0 if that needs nothing. */
 static int end_moving(Core *c);
 
@@ -115,5 +117,7 @@ static void lead_away(Core *c, int k, const double *jacobian, const double *posi
 /* One Newton step, so that no single control step has to make a whole knot; 0 where growth has to wait, −1 where the
  * look-ahead fails. */
 static int work_ahead(Core *c);
+/* A piece of work on bodies where the next knot is expected; 0 if there is nothing to do. */
+static int survey_ahead(Core *c);
 
 #endif

@@ -68,7 +68,6 @@ static void elbow_velocity(const Core *c, double clock, double span, const doubl
     }
 }
 
-/* Where the joints are expected a span after knot `last`: as q′ and q″ go on, or with the elbows that lead them. */
 static void expect(const Core *c, int last, double span, double *x) {
     const Knot *from = knot(c, last);
     const double *x0 = vector_of(c, c->knot_positions, last);

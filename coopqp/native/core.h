@@ -63,7 +63,6 @@ struct Core {
     int users_path = 0; /* the path is no one of the library: it may jump or bend where no breakpoint tells */
     int given_rows = 0, further_rows = 0; /* of this step: by constraints, and with those that brake all arms together */
     int knot_asked = 0, surveyed = 0; /* in this step: what bodies bound at a knot, a piece of what they ask for ahead */
-    int waited = 0;               /* in the step before: work on bodies where the joints are */
     int asked = 0;        /* how often a user's path was asked for what is ahead */
     /* The path: duration, number of breakpoints, number of segments, breakpoints, segments of 29 numbers in the order of
      * their starts. A path without segments is known to own_path. */
@@ -79,7 +78,8 @@ struct Core {
     int (*evade)(Core *c) = nullptr;
     /* Asks further constraints, whose rows go into the memory; −1 if they fail. */
     long (*ask)(Core *c, Question question) = nullptr;
-    /* Does a piece of what bodies ahead ask for; nullptr for none. 0 if there is nothing to do. */
+    /* Does a piece of what bodies ask for where the next knot is expected, in `evading_positions`, with the slope of the
+     * last one in `evading_slope`; nullptr for none. 0 if there is nothing to do. */
     int (*survey_ahead)(Core *c) = nullptr;
 };
 

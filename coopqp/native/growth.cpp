@@ -89,16 +89,20 @@ static Trial stop_at_limit(Core *c, int last, int made) {
     return FOUND;
 }
 
-/* Begin the knot after the last known or tentative one, as far on as the chain may be followed in one go. */
-static void aim_ahead(Core *c) {
-    const Knot *last = knot(c, (int)c->ahead->count + (int)c->ahead->way - 1);
+/* How far on from a knot the chain may be followed in one go [s]. */
+static double span_after(const Core *c, const Knot *last) {
     const Options *o = c->options;
     const double edge = next_breakpoint(c, last->clock);
     double span = minimum(o->cell, c->duration - last->clock);
     if (last->fastest > 0.0) span = minimum(span, o->joint_step / last->fastest);
     if (last->span > 0.0 && last->corner == 0.0) span = minimum(span, GROWTH * last->span);
     if (last->clock + span > edge - 1e-9) span = edge - last->clock;
-    c->ahead->try_span = minimum(span, half_way(c, last));
+    return minimum(span, half_way(c, last));
+}
+
+/* Begin the knot after the last known or tentative one. */
+static void aim_ahead(Core *c) {
+    c->ahead->try_span = span_after(c, knot(c, (int)c->ahead->count + (int)c->ahead->way - 1));
     c->ahead->iteration = c->ahead->sought = 0.0;
     c->ahead->growing = 1.0;
 }
@@ -228,6 +232,14 @@ static int seek(Core *c) {
         halve_trial(c);
     }
     return 1;
+}
+
+static int survey_ahead(Core *c) {
+    const int last = (int)c->ahead->count + (int)c->ahead->way - 1;
+    if (!c->survey_ahead || last < 0 || c->ahead->growing != 0.0) return 0;
+    expect(c, last, span_after(c, knot(c, last)), c->evading_positions.data());
+    c->evading_slope = Given(vector_of(c, c->knot_slope, last), c->joints);
+    return c->survey_ahead(c);
 }
 
 static int work_ahead(Core *c) {

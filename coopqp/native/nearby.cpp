@@ -14,11 +14,14 @@
 #define SAME_PLACE 1e-14
 /* A pair is followed by itself within this of its margin, others all together [m]. */
 #define FOLLOWED 0.25
-/* Pairs whose bounds are made sharp in a step, and ahead of need; a share of the distance that is sharp, and one that is
- * where only more than enough is asked for. */
-#define MOST_SHARPENED 6
+/* Pairs whose bounds are made sharp in a step, and ahead of need; gaps that are found ahead of need; where there are more
+ * pairs than this, surveys and other work share steps. A share of the distance that is sharp, and one that is where only
+ * more than enough is asked for. */
+#define MOST_SHARPENED 3
 #define SHARPENED_EARLY 4
 #define SHARPENED_AT_START 100
+#define GAPS_EARLY 4
+#define MANY_PAIRS 8000
 #define SHARP 1e-4
 #define ROUGH 0.02
 /* The share of a certificate that is used when the next is begun; where less than NEEDED of the certificate of what is far
@@ -204,6 +207,7 @@ Nearby::Nearby(const nb::dict &arrays, const Settings &settings, Coal &&coal_giv
     next.resize(own), coming.resize(own), watch.resize((size_t)P), sharp.resize((size_t)P);
     build_survey(&survey, P, nv, clearances.data, at.data, reach.data, continuous.data, arm.data);
     survey.range = FOLLOWED, survey.spare = set.spare;
+    motion = survey.way;
     start_survey(&survey);
 }
 
@@ -223,7 +227,8 @@ double Nearby::bound(const In &x, Py_ssize_t k) {
 
 /* The joints are at x: clearances of close pairs are those there. */
 void Nearby::follow(const double *x) {
-    if (memcmp(x, at.data, sizeof(double) * (size_t)joints) != 0) sharp_stamp++;
+    if (memcmp(x, at.data, sizeof(double) * (size_t)joints) == 0) return;
+    sharp_stamp++;
     follow_close(&survey, x);
 }
 
@@ -341,11 +346,11 @@ long Nearby::rows(bool blind) {
     return (long)which.size();
 }
 
-/* Whether a way of the joints leaves every pair outside its margin. */
-bool Nearby::way_is_clear(const double *x, const double *way) {
-    if (!(left_at(&survey, x) > most_of_two(&survey, survey.weights.data(), way))) return false;
+/* Whether the way leaves every pair outside its margin. */
+bool Nearby::way_is_clear(const double *x) {
+    if (!(left_at(&survey, x) > most_of_two(&survey, survey.weights.data(), motion.joint.data()))) return false;
     for (const Py_ssize_t k : survey.close) {
-        const double need = taken(&survey, k, way);
+        const double need = taken(&survey, k, &motion);
         if (clearances.data[k] > need) continue;
         if (!(bounded(k, x, 2.0 * need, ROUGH) > need) && !(bounded(k, x, 2.0 * need, SHARP) > need)) return false;
     }
@@ -355,8 +360,9 @@ bool Nearby::way_is_clear(const double *x, const double *way) {
 bool Nearby::clear(bool blind) {
     const double rate = approach_of(blind);
     begin(blind);
-    for (Py_ssize_t j = 0; j < joints; j++) next[(size_t)j] = fabs(command.data[j]) / rate;
-    if (!way_is_clear(positions.data, next.data())) return false;
+    double *way = motion.anew();
+    for (Py_ssize_t j = 0; j < joints; j++) way[j] = fabs(command.data[j]) / rate;
+    if (!way_is_clear(positions.data)) return false;
     sharpen(MOST_SHARPENED); /* the next certificate lasts the longer */
     which.clear();
     put_certificate();
@@ -389,27 +395,41 @@ bool Nearby::tightened() {
 
 /* The share of the certificate in memory that is used at positions x. */
 double Nearby::used_at(const double *x) {
-    for (Py_ssize_t j = 0; j < joints; j++) survey.way[(size_t)j] = fabs(x[j] - centre.data[j]);
-    return most_of_two(&survey, weights.data, survey.way.data());
+    double *way = motion.anew();
+    for (Py_ssize_t j = 0; j < joints; j++) way[j] = fabs(x[j] - centre.data[j]);
+    return most_of_two(&survey, weights.data, way);
 }
 
 /* Look at some pairs for the next certificate; whether there are more. */
-bool Nearby::look_for_certificate() {
+bool Nearby::look_for_certificate(int some) {
     const Py_ssize_t before = soonest_close();
-    sharpen(SHARPENED_EARLY);
-    looked += SHARPENED_EARLY;
+    sharpen(some);
+    looked += some;
     return before >= 0 && !is_sharp(soonest_close()) && looked < 4 * SHARPENED_EARLY;
 }
 
 /* Look at some pairs that the motion to the next knot may lead inside their margin, likewise. */
 bool Nearby::look_for_knot() {
     int count = 0;
-    for (size_t j = 0; j < coming.size(); j++) survey.way[j] = WIDER * fabs(coming[j]);
+    double *way = motion.anew();
+    for (size_t j = 0; j < coming.size(); j++) way[j] = WIDER * fabs(coming[j]);
     for (const Py_ssize_t k : survey.close) {
-        const double enough = maximum(set.evades, taken(&survey, k, survey.way.data()));
+        const double enough = maximum(set.evades, taken(&survey, k, &motion));
         if (is_sharp(k) || !(clearances.data[k] < enough)) continue;
         if (count++ == 2 * SHARPENED_EARLY) return true;
         bounded(k, at.data, enough, SHARP);
+    }
+    return false;
+}
+
+/* Find some gaps of pairs that may change the slope of the next knot, likewise. */
+bool Nearby::look_for_gaps() {
+    int count = 0;
+    if (!(set.evades > 0.0) || !lacks_speed(evading_slope.data, WIDER)) return false;
+    for (const Py_ssize_t k : near) {
+        const size_t known = gaps_stamp == sharp_stamp ? gaps.size() : 0;
+        gap_of(k, at.data);
+        if (gaps.size() > known && ++count == GAPS_EARLY) return true;
     }
     return false;
 }
@@ -425,20 +445,20 @@ void Nearby::prepare() {
 }
 
 /* First what is far; then pairs, where a step's certificate is used up soon, or where the next knot will be. */
-bool Nearby::surveys() {
+bool Nearby::surveys(bool shorter) {
     const bool ahead = set.evades >= 0.0;
-    double *x = next.data();
-    for (Py_ssize_t j = 0; j < joints; j++)
-        x[j] = !ahead ? positions.data[j] : at.data[j] + (job == IDLE ? coming[(size_t)j] : 0.0);
+    const double *x = ahead ? evading_positions.data : positions.data;
     double share = SURVEYS_AGAIN;
-    if (ahead) { /* the next knot needs what the motion to it takes */
-        for (size_t j = 0; j < coming.size(); j++) survey.way[j] = WIDER * fabs(coming[j]);
-        share = maximum(share, most_of_two(&survey, survey.weights.data(), survey.way.data()));
+    if (ahead) { /* the knot after it needs what the motion to it takes */
+        double *way = motion.anew();
+        for (size_t j = 0; j < coming.size(); j++) way[j] = WIDER * fabs(coming[j]);
+        share = maximum(share, most_of_two(&survey, survey.weights.data(), way));
         share = minimum(share, MOST_NEEDED);
+        if (memcmp(x, at.data, sizeof(double) * (size_t)joints) != 0) job = IDLE;
     }
     const bool soon = !ahead && slack.data[0] > 0.0 && (job == ASKING || used_at(x) > USED);
-    const bool surveyed = !(soon && left_at(&survey, x) > NEEDED) && survey_piece(&survey, x, share, measured);
-    const bool large = pairs > PIECE * PIECES; /* a knot does not wait for one after the other */
+    const bool surveyed = !(soon && left_at(&survey, x) > NEEDED) && survey_piece(&survey, x, share, shorter, measured);
+    const bool large = pairs > MANY_PAIRS; /* a knot does not wait for one after the other */
     if (surveyed && (!ahead || job == DONE || !large)) return true;
     if (job == IDLE) {
         if (!ahead && (slack.data[0] <= 0.0 || used_at(x) < USED)) return false;
@@ -447,9 +467,13 @@ bool Nearby::surveys() {
         return true;
     }
     if (job == DONE) return false;
-    if (ahead ? look_for_knot() : look_for_certificate()) return true;
-    job = ahead ? DONE : IDLE;
-    if (!ahead) put_certificate();
+    if (ahead) {
+        const bool more = job == GAPS ? look_for_gaps() : look_for_knot();
+        if (!more) job = job == GAPS ? DONE : GAPS;
+    } else if (!look_for_certificate(SHARPENED_EARLY / (shorter ? 2 : 1))) {
+        job = IDLE;
+        put_certificate();
+    }
     return true;
 }
 
@@ -490,17 +514,18 @@ Py_ssize_t Nearby::stopping(Py_ssize_t place) {
     if (place < 0 || place >= knot_at.size / nv) throw nb::index_error("there is no such knot");
     const double span = knots.data[place * size + (Py_ssize_t)knot_numbers.data[1]];
     const Arrival to = {knot_at.data + place * nv, knot_slope.data + place * nv, knot_curvature.data + place * nv, span};
-    double *way = next.data();
+    double *way = motion.anew();
     for (Py_ssize_t j = 0; j < nv; j++) way[j] = BENT_WAY * fabs((0.5 * span * to.curvature[j] - to.slope[j]) * span);
     survey_now(&survey, to.x, measured);
     follow(to.x);
-    if (left_at(&survey, to.x) < most_of_two(&survey, survey.weights.data(), way)) survey_anew(&survey, to.x, measured);
+    const auto used = [&] { return most_of_two(&survey, survey.weights.data(), way); };
+    if (left_at(&survey, to.x) < used()) survey_anew(&survey, to.x, measured);
     Py_ssize_t found = -1;
-    if (most_of_two(&survey, survey.weights.data(), way) <= left_at(&survey, to.x)) {
+    if (used() <= left_at(&survey, to.x)) {
         found = -2;
         for (const Py_ssize_t k : survey.close) {
-            const double least = taken(&survey, k, way);
-            if (bounded(k, to.x, maximum(set.evades, least), SHARP) < least && crosses(k, to, least)) {
+            const double least = taken(&survey, k, &motion);
+            if (bounded(k, to.x, least, SHARP) < least && crosses(k, to, least)) {
                 found = k;
                 break;
             }
@@ -517,35 +542,55 @@ double Nearby::least_speed_of(double spare) const {
     return -set.approach * spare / maximum(SMALL_CLEARANCE, 1.0 - maximum(0.0, spare) / EVADES_EARLY);
 }
 
+/* Whether a pair may lack speed with a share of a slope where the joints are `at`, whatever its gradient is; those in view
+ * become the near ones. */
+bool Nearby::lacks_speed(const double *slope, double share) {
+    double *speed = motion.anew();
+    bool any = false;
+    near.clear();
+    for (Py_ssize_t j = 0; j < joints; j++) speed[j] = share * fabs(slope[j]);
+    for (const Py_ssize_t k : survey.close) {
+        if (!(bounded(k, at.data, set.evades, ROUGH) < set.evades)) continue;
+        near.push_back(k);
+        any = any || least_speed_of(clearances.data[k] - (set.evades - EVADES_EARLY)) > -taken(&survey, k, &motion);
+    }
+    return any;
+}
+
+/* The gap of a pair where the joints are `at`, at x, found once. */
+const Nearby::Gap &Nearby::gap_of(Py_ssize_t k, const double *x) {
+    if (gaps_stamp != sharp_stamp) gaps.clear(), gaps_stamp = sharp_stamp;
+    for (const Gap &gap : gaps)
+        if (gap.pair == k) return gap;
+    Gap found = {k, 0.0, {}};
+    shapes.place(x);
+    found.clearance = shapes.gap(k, found.ends) - margins.data[k];
+    if (isnan(found.ends[3])) found.clearance = asked(k, x), coal.ends(k, found.ends);
+    gaps.push_back(found);
+    return gaps.back();
+}
+
 bool Nearby::evade() {
     const double *x = evading_positions.data, comfort = set.evades - EVADES_EARLY;
-    std::vector<double> row((size_t)joints);
-    bool any = false;
     survey_now(&survey, x, measured);
     follow(x);
-    near.clear();
-    for (size_t j = 0; j < row.size(); j++) row[j] = fabs(evading_slope.data[j]);
-    for (const Py_ssize_t k : survey.close) {
-        if (!(bounded(k, x, set.evades, ROUGH) < set.evades)) continue;
-        near.push_back(k);
-        any = any || least_speed_of(clearances.data[k] - comfort) > -taken(&survey, k, row.data());
-    }
-    if (!any) return true; /* no pair can lack speed, whatever its gradient is */
-    any = false;
+    if (!lacks_speed(evading_slope.data, 1.0)) return true;
+    std::vector<double> row((size_t)joints);
+    bool any = false;
     evasion.begin();
     for (const Py_ssize_t k : near) {
-        double ends[6], speed = 0.0;
-        double clearance = shapes.gap(k, ends) - margins.data[k];
-        if (isnan(ends[3])) clearance = asked(k, x), coal.ends(k, ends);
-        if (!(clearance < set.evades)) continue;
-        const Eigen::Map<const Vector3> normal(ends), point(ends + 3);
+        const Gap &gap = gap_of(k, x);
+        if (!(gap.clearance < set.evades)) continue;
+        const Eigen::Map<const Vector3> normal(gap.ends), point(gap.ends + 3);
         const Vector6 force = both(normal, point.cross(normal)); /* about the world's origin */
+        double speed = 0.0;
+        shapes.place(x);
         for (size_t j = 0; j < row.size(); j++) {
             const double kind = kinds.data[k * joints + (Py_ssize_t)j];
             row[j] = kind != 0.0 ? kind * force.dot(shapes.twist(j)) : 0.0;
             speed += row[j] * evading_slope.data[j];
         }
-        const double lacks = least_speed_of(clearance - comfort) - speed;
+        const double lacks = least_speed_of(gap.clearance - comfort) - speed;
         const double first = clamp(lacks, 0.0, GENTLE);
         evasion.add(row, lacks - first + first * first / (2.0 * GENTLE));
         any = any || lacks > 0.0;

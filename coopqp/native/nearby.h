@@ -115,8 +115,9 @@ public:
     Py_ssize_t stopping(Py_ssize_t place);
     /* Look at all pairs where the joints start, before the first step. */
     void prepare();
-    /* A piece of work ahead of need, if there is any; whether there was. */
-    bool surveys();
+    /* A piece of work ahead of need, if there is any, or a shorter one; whether there was. Ahead it is on the knot that is
+     * expected next. */
+    bool surveys(bool shorter);
     /* Self-motion of redundant arms where a knot is tried: changes the slope in memory. */
     bool evade();
     /* The placement of a shape at positions x, by these kinematics. */
@@ -132,7 +133,11 @@ private:
     struct Sample {
         double back, clearance;
     };
-    enum Job { IDLE, ASKING, DONE }; /* work that is spread: none, pairs are looked at, all is done */
+    struct Gap {
+        Py_ssize_t pair;
+        double clearance, ends[6];
+    };
+    enum Job { IDLE, ASKING, GAPS, DONE }; /* work that is spread: none, pairs are looked at, gaps found, all is done */
 
     struct Measured {
         Nearby *all;
@@ -150,10 +155,13 @@ private:
     Py_ssize_t soonest_close() const;
     void sharpen(int most);
     void put_certificate();
-    bool way_is_clear(const double *x, const double *way);
+    bool way_is_clear(const double *x);
     double used_at(const double *x);
-    bool look_for_certificate();
+    bool look_for_certificate(int some);
     bool look_for_knot();
+    bool look_for_gaps();
+    bool lacks_speed(const double *slope, double share);
+    const Gap &gap_of(Py_ssize_t k, const double *x);
     double clearance_at(Py_ssize_t k, const double *x, double enough);
     double clearance_before(Py_ssize_t k, const Arrival &to, double back, double enough);
     bool falls_below(Py_ssize_t k, const Arrival &to, double least, Sample late, Sample early, double way);
@@ -168,15 +176,18 @@ private:
     In reach, margins, most, fastest, kinds, continuous, arm, speeds, jacobian; /* of the scene */
     In positions, command, dt;                                                  /* of the step */
     Out G, lower, upper, soft, owner, centre, weights, slack, approach;
-    In evading_positions;
+    In evading_positions; /* of a knot that is tried, or expected next */
     Out evading_slope;
     Evasion evasion;
     In knots, knot_at, knot_slope, knot_curvature, knot_numbers; /* ahead */
     Survey survey;
+    Way motion;                              /* in a step, or to a knot */
     std::vector<double> watch, next, coming; /* coming: motion of the joints to the next knot, as the last one had it */
     std::vector<uint64_t> sharp;             /* clearances with the present stamp are as good as distances */
     uint64_t sharp_stamp = 1;
     std::vector<Py_ssize_t> near, which; /* near pairs, pairs of the rows */
+    std::vector<Gap> gaps;               /* of pairs where the joints are `at`, with the stamp below */
+    uint64_t gaps_stamp = 0;
     double watch_of[2] = {};             /* approach and range of the watches */
     Job job = IDLE;
     int looked = 0; /* of this job */

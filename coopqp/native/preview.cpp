@@ -3,6 +3,9 @@
 
 #include "ahead.h"
 
+/* Pieces of work on bodies ahead that a start does at most. */
+#define SURVEYS_AT_START 20
+
 /* The look-ahead finds a knot with the grasps as they are when it is begun: grasps that go on giving way would be pursued
  * by its Newton steps for ever. */
 static void take_grasps(Core *c) {
@@ -42,8 +45,7 @@ static double steps_to_grow(const Core *c) { return own_path(c) || c->bound_knot
 
 /* A piece of work before it is needed: on bodies ahead, else on the next knot. */
 static void work_early(Core *c) {
-    if (c->survey_ahead && c->ahead->growing == 0.0 && c->survey_ahead(c)) return;
-    work_ahead(c);
+    if (!survey_ahead(c)) work_ahead(c);
 }
 
 /* How often a user's path is asked in a step for what is ahead. */
@@ -103,6 +105,7 @@ static void preview_reset(Core *c, double clock, int later) {
     swap_grasps(c);
     if (c->ahead->count > 0.0 && !later)
         extend_horizon(c, clock, c->options->nominal_dt, INFINITY, NEWTON_STEPS_AT_START, INFINITY);
+    for (int i = 0; i < SURVEYS_AT_START && !later && survey_ahead(c);) i++; /* what the first steps would do of it */
     swap_grasps(c);
 }
 

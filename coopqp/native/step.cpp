@@ -463,9 +463,8 @@ static Outcome settle_step(Core *c) {
     c->given_rows = c->knot_asked = c->surveyed = 0;
     const Outcome outcome = propose(c);
     if (c->options->certified == 0.0) return outcome;
-    if (outcome < FILLED && quiet_step(c)) { /* not every piece of work on bodies in one step */
-        c->waited = c->knot_asked || (c->surveyed && !c->waited);
-        if (!c->waited) c->ask(c, ASK_SURVEY);
+    if (outcome < FILLED && quiet_step(c)) {
+        if (!c->knot_asked) c->ask(c, ASK_SURVEY); /* not every piece of work on bodies in one step */
         return outcome;
     }
     if (outcome < FILLED && c->ask(c, ASK_CLEAR) == 1) return outcome;

@@ -249,10 +249,11 @@ static void raise_interrupt(BoundCore *self) {
 }
 
 static long ask_constraints(Core *c, Question question) {
-    const bool looks = question == ASK_CLEAR || question == ASK_ROWS;
+    const bool blind = c->looks_ahead == 0;
     const int which = CLEAR + (question - ASK_CLEAR);
     bound(c)->guard(false);
-    const long found = looks ? asked(bound(c), which, false, c->looks_ahead == 0) : asked(bound(c), which, false);
+    const long found = question == ASK_TIGHTER ? asked(bound(c), which, false)
+                                               : asked(bound(c), which, false, question == ASK_SURVEY ? c->surveyed != 0 : blind);
     bound(c)->guard(true);
     return found;
 }

@@ -44,8 +44,6 @@ from coopqp.paths.path import ObjectPath
 from coopqp.paths.servo import ServoPath
 from coopqp.spatial import Array
 
-#: Pieces of work on bodies ahead that a start does at most.
-_SURVEYS_AT_START = 20
 _NOT_FINITE, _PATH_FAILED, _LOOK_AHEAD_FAILED, _CONSTRAINT_FAILED = (
     layout.REASONS.index(name) for name in ("NOT_FINITE", "PATH_FAILED", "LOOK_AHEAD_FAILED", "CONSTRAINT_FAILED")
 )
@@ -111,7 +109,6 @@ class CompiledLoop:
         self._further = self._no_rows
         #: Bodies stand in the core's memory, which asks for their rows and for what stops the object itself.
         self._knows_bodies = False
-        self._surveys_ahead: Callable[[], bool] = bool  # nothing is to be looked at
         self._evades: Callable[[], bool] | None = self._evade if constraints.evades else None
         if constraints:
             self._core.bind(bound_knot=self._bound_knot)
@@ -120,7 +117,7 @@ class CompiledLoop:
             rows = self._certified.in_memory(self._memory.of_rows())
             ahead = None if rows is None else self._certified.in_memory(self._memory.of_rows(), ahead=True)
             if rows is not None and ahead is not None:
-                self._knows_bodies, self._surveys_ahead, self._evades = True, ahead.surveys, ahead.evade
+                self._knows_bodies, self._evades = True, ahead.evade
                 self._core.bind(clear=rows.clear, further_rows=rows.rows, tightened=rows.tightened)
                 self._core.bind(survey_here=rows.surveys, survey_ahead=ahead.surveys, stopping=ahead.stopping)
         self.step = self._core.step
@@ -236,9 +233,6 @@ class CompiledLoop:
         """Along the path from ``clock`` on."""
         self._core.start_path(clock, self._starting_rate() if rate is None else rate)
         self.at["changed_at"][0] = clock - SAME_CLOCK
-        for _ in range(_SURVEYS_AT_START):  # what the first steps would do of it
-            if not self._surveys_ahead():
-                break
 
     def _starting_rate(self) -> float:
         override, paused = self.reins
