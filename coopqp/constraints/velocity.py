@@ -113,8 +113,8 @@ class RowsInMemory(Protocol):
         """Add self-motion to the slope in the memory, at the positions there; whether it succeeded."""
         ...
 
-    def surveys(self) -> bool:
-        """Do a piece of work that need not be done in one step; whether there was any."""
+    def surveys(self, shorter: bool = False, /) -> bool:
+        """Do a piece of work that need not be done in one step, or half of one; whether there was any."""
         ...
 
 

@@ -94,7 +94,7 @@ void bind_distances(nb::module_ &m) {
         .def("tightened", &Nearby::tightened)
         .def("stopping", &Nearby::stopping)
         .def("prepare", &Nearby::prepare)
-        .def("surveys", &Nearby::surveys, nb::arg("shorter") = false)
+        .def("surveys", &Nearby::surveys, nb::arg() = false)
         .def("evade", &Nearby::evade)
         .def("placement", &Nearby::placement)
         .def("bound", &Nearby::bound);
