@@ -93,8 +93,8 @@ class RowsInMemory(Protocol):
         """Put the rows of this step, and where it is quiet, into the memory; how many."""
         ...
 
-    def clear(self, blind: bool, /) -> bool:
-        """Whether it is shown, by few distances, that no row can bind the command."""
+    def clear(self, blind: bool, shorter: bool = False, /) -> bool:
+        """Whether it is shown, by few distances, that no row can bind the command; ``shorter``: by those alone."""
         ...
 
     def tightened(self) -> bool:

@@ -90,7 +90,7 @@ void bind_distances(nb::module_ &m) {
     nb::class_<Nearby>(m, "Nearby", "Rows of a compiled step beside bodies that stand, over its memory.")
         .def("__init__", build_nearby)
         .def("rows", &Nearby::rows)
-        .def("clear", &Nearby::clear)
+        .def("clear", &Nearby::clear, nb::arg(), nb::arg() = false)
         .def("tightened", &Nearby::tightened)
         .def("stopping", &Nearby::stopping)
         .def("prepare", &Nearby::prepare)

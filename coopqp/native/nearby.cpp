@@ -357,13 +357,13 @@ bool Nearby::way_is_clear(const double *x) {
     return true;
 }
 
-bool Nearby::clear(bool blind) {
+bool Nearby::clear(bool blind, bool shorter) {
     const double rate = approach_of(blind);
     begin(blind);
     double *way = motion.anew();
     for (Py_ssize_t j = 0; j < joints; j++) way[j] = fabs(command.data[j]) / rate;
     if (!way_is_clear(positions.data)) return false;
-    sharpen(MOST_SHARPENED); /* the next certificate lasts the longer */
+    if (!shorter) sharpen(MOST_SHARPENED); /* the certificate lasts the longer */
     which.clear();
     put_certificate();
     approach.data[0] = blind ? set.approach : INFINITY;

@@ -107,8 +107,9 @@ public:
     Nearby(const nb::dict &arrays, const Settings &settings, Coal &&coal, Shapes &&shapes);
     /* Put the rows of this step, and where none binds, into its memory; how many. */
     long rows(bool blind);
-    /* Whether no row can bind the command in memory, without asking for all that is near. */
-    bool clear(bool blind);
+    /* Whether no row can bind the command in memory, without asking for all that is near; if not shorter, some more is asked
+     * for the next ones. */
+    bool clear(bool blind, bool shorter);
     /* Raise lower bounds where the command leads closer than rows say; whether it does. */
     bool tightened();
     /* The pair that stops the object between the knot before and the one at a place, -2 for none, -1 if that is not known. */

@@ -252,8 +252,13 @@ static long ask_constraints(Core *c, Question question) {
     const bool blind = c->looks_ahead == 0;
     const int which = CLEAR + (question - ASK_CLEAR);
     bound(c)->guard(false);
-    const long found = question == ASK_TIGHTER ? asked(bound(c), which, false)
-                                               : asked(bound(c), which, false, question == ASK_SURVEY ? c->surveyed != 0 : blind);
+    long found = -1;
+    switch (question) {
+    case ASK_CLEAR: found = asked(bound(c), which, false, blind, c->knot_asked != 0); break;
+    case ASK_ROWS: found = asked(bound(c), which, false, blind); break;
+    case ASK_TIGHTER: found = asked(bound(c), which, false); break;
+    case ASK_SURVEY: found = asked(bound(c), which, false, c->surveyed != 0); break;
+    }
     bound(c)->guard(true);
     return found;
 }

@@ -128,7 +128,20 @@ EQUIVALENT: dict[tuple[str, str, str], str] = {
                 "if far > motion.attach_m or turned >= motion.attach_rad:",
             ): "an angle of exactly the tolerance",
         },
+        "coopqp/native/program.cpp": {
+            (
+                "const double square = columns.squaredNorm() + (slack >= 0 ? unit * unit : 0.0);",
+                "const double square = columns.squaredNorm() + (slack < 0 ? unit * unit : 0.0);",
+            ): "a row that is scaled by another positive number is the same; rows without a slack have the unit 0",
+            ("return 1;", "return 2;"): "asked for as yes or no",
+        },
         "coopqp/native/chain_ahead.cpp": {
+            (
+                "return {reinterpret_cast<Pose *>(c->sketch), {errors, 6, n}, "
+                "{errors + 6 * n, 6, n}, {jacobian, 6, nv},",
+                "return {reinterpret_cast<Pose *>(c->sketch), {errors, 6, n}, "
+                "{errors + 6 * n, 6, n}, {jacobian, 7, nv},",
+            ): "the number of rows is part of the type",
             (
                 "const int n = Symmetric::RowsAtCompileTime < 0 ? (int)G.rows() : Symmetric::RowsAtCompileTime;",
                 "const int n = Symmetric::RowsAtCompileTime < 1 ? (int)G.rows() : Symmetric::RowsAtCompileTime;",
