@@ -680,6 +680,26 @@ def test_both_agree_on_joints_that_arms_share(torso: str, how: tuple[str, float]
 
 
 @pytest.mark.core
+@pytest.mark.parametrize("torso", TORSOS)
+def test_a_sample_that_is_sent_again_is_lost_to_arms_that_share_joints_unless_these_move(
+    torso: str, tmp_path: Path
+) -> None:
+    """An arm far off is a fault in the second sample that is new: three that repeat to the last bit are none."""
+    task = on_a_torso(torso, tmp_path)
+    watch = SupervisionOptions(joint_jump=2.0, stall_samples=None, noise_margin=0.0)
+    for moving in (None, *range(len(TORSOS[torso]))):
+        run = pair(task, dt=0.01, supervision=watch).run(10, noisy(task.cell, size=1e-9))
+        x, found = task.cell.positions(run.told[-1]), []
+        x[task.cell.v_slices[1]] += 0.1
+        for _ in range(6):
+            if moving is not None:
+                x[moving] += 1e-9
+            found.append(run.take(task.cell.configuration(x)).status is Status.FAULT)
+        run.compare()
+        assert found.index(True) == (4 if moving is None else 1)
+
+
+@pytest.mark.core
 @pytest.mark.parametrize(
     "mode", slow_but_first(["nominal", "forces watched, an arm stalls", "always a QP", "one arm lags", "no preview"])
 )
