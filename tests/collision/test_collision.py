@@ -337,6 +337,34 @@ def test_rows_in_memory_refuse_what_does_not_fit(lift: Scenario) -> None:
 
 @pytest.mark.core
 @pytest.mark.skipif(len(KERNELS) < 2, reason="there is no compiler here")
+@pytest.mark.parametrize("name", ["q_index", "continuous", "questions", "points"])
+def test_rows_in_memory_refuse_what_does_not_fit_what_coal_is_asked(
+    name: str, lift: Scenario, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    build: Any = KERNEL.Nearby
+
+    def one_more(arrays: Any, settings: Any, coal: Any, shapes: Any) -> Any:
+        given = coal[name]
+        longer = [*given, given[-1]]
+        return build(arrays, settings, {**coal, name: longer if isinstance(given, list) else np.array(longer)}, shapes)
+
+    monkeypatch.setattr(KERNEL, "Nearby", one_more)
+    with pytest.raises(ValueError, match="fit together"):
+        Clearance(scene_of(lift, margin=0.0)).in_memory(rows_memory(lift.cell.nv, 4))
+
+
+@pytest.mark.core
+@pytest.mark.skipif(len(KERNELS) < 2, reason="there is no compiler here")
+def test_only_knots_that_exist_stop_the_object(lift: Scenario) -> None:
+    nearby: Any = Clearance(scene_of(lift, margin=0.0)).in_memory(rows_memory(lift.cell.nv, 4), ahead=True)
+    nearby.stopping(0)
+    for place in (-1, 1, 10**6):
+        with pytest.raises(IndexError, match="no such knot"):
+            nearby.stopping(place)
+
+
+@pytest.mark.core
+@pytest.mark.skipif(len(KERNELS) < 2, reason="there is no compiler here")
 def test_rows_in_memory_that_were_not_built_say_so() -> None:
     unbuilt = KERNEL.Nearby.__new__(KERNEL.Nearby)
     for ask in (unbuilt.tightened, lambda: unbuilt.rows(True)):
