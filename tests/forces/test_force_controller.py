@@ -445,7 +445,7 @@ def test_core_and_definition_see_the_same_haste_of_joints(task: Scenario) -> Non
             seen[-1].append(haste.haste)
         assert step.rate == 1.0
         assert max(seen[-1]) > 5.0 * seen[-1][-1]
-    np.testing.assert_allclose(*seen, rtol=0, atol=1e-6)
+    np.testing.assert_allclose(seen[0], seen[1], rtol=0, atol=1e-6)
 
 
 @pytest.mark.core
