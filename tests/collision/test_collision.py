@@ -355,6 +355,26 @@ def test_rows_in_memory_refuse_what_does_not_fit_what_coal_is_asked(
 
 @pytest.mark.core
 @pytest.mark.skipif(len(KERNELS) < 2, reason="there is no compiler here")
+@pytest.mark.parametrize(("corners", "hulls"), [(4, False), (4, True), (0, True)])
+def test_shapes_whose_corners_are_no_points_are_refused(
+    corners: int, hulls: bool, lift: Scenario, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    build: Any = KERNEL.Nearby
+
+    def other(arrays: Any, settings: Any, coal: Any, shapes: Any) -> Any:
+        some = [np.ones(corners) if (own.size > 0) == hulls else own for own in shapes["corners"]]
+        return build(arrays, settings, coal, {**shapes, "corners": some})
+
+    hull = Body("stone", Hull(0.1 * np.random.default_rng(5).normal(size=(12, 3))))
+    clearance = Clearance(scene_of(lift, margin=0.0, obstacles=[hull]))
+    assert clearance.in_memory(rows_memory(lift.cell.nv, 4)) is not None
+    monkeypatch.setattr(KERNEL, "Nearby", other)
+    with pytest.raises(ValueError, match="fit together"):
+        clearance.in_memory(rows_memory(lift.cell.nv, 4))
+
+
+@pytest.mark.core
+@pytest.mark.skipif(len(KERNELS) < 2, reason="there is no compiler here")
 def test_only_knots_that_exist_stop_the_object(lift: Scenario) -> None:
     nearby: Any = Clearance(scene_of(lift, margin=0.0)).in_memory(rows_memory(lift.cell.nv, 4), ahead=True)
     nearby.stopping(0)
