@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Callable
 
 import numpy as np
@@ -11,11 +10,10 @@ import pytest
 from cells import grasp_at
 
 import coopqp.forces.internal
-from coopqp import ControlStep, Grasp, HoldPath, InvalidInputError, QPController, RobotCell, Status, SupervisionOptions
+from coopqp import Grasp, InvalidInputError, RobotCell
 from coopqp.control.monitoring.stress import StressWatch
 from coopqp.forces import StressModel, at_tools
 from coopqp.model import CellState
-from coopqp.native import available_kernels
 from coopqp.scenarios import Scenario
 from coopqp.spatial import Array
 
@@ -164,31 +162,6 @@ def test_the_watch_reads_the_forces_that_bend_the_servos(
             bend[s] = state.jacobian(k, pin.LOCAL_WORLD_ALIGNED).T @ wrenches[k] / stiffness[s]
         watch.read(pin.integrate(cell.model, late, -bend), command, 1e-3)
         np.testing.assert_allclose(watch.forces, np.linalg.norm(wrenches[:, :3], axis=1), rtol=0.05)
-
-
-@pytest.mark.core
-@pytest.mark.parametrize("kernel", available_kernels())
-def test_a_steady_force_holds_from_its_limit_on(kernel: str, paper: Scenario) -> None:
-    """One that grows fast does so before: by what it soon comes to."""
-    twist, s, bent = 1e-4 * np.eye(6)[2], paper.cell.v_slices[1], paper.q_start.copy()
-    bent[s] += np.linalg.solve(CellState(paper.cell, paper.q_start).jacobian(1), twist)
-
-    def pressed(limit: float, pace: float) -> ControlStep:
-        watch = SupervisionOptions(stiffness=1e5, force_limit=limit, slow_from=None, stall_samples=None)
-        options = {"kernel": kernel, "supervision": watch, "path_gain": 0.0, "grasp_gain": 0.0}
-        path = HoldPath(paper.path.pose(0.0), duration=9.0)
-        made = QPController(paper.cell, paper.grasp, path, dt=0.01, options=options)
-        made.reset(paper.q_start)
-        for i in range(40):
-            step = made.step(paper.q_start + (1.0 - (1.0 - pace) ** i) * (bent - paper.q_start))
-        return step
-
-    found = re.match(r"(\d+) N at the grasp", pressed(1.0, 0.2).reason)
-    assert found is not None
-    force = float(found[1])
-    assert force > 100.0
-    for limit, pace, holds in ((force - 1.0, 0.2, True), (force + 1.0, 0.2, False), (force + 1.0, 1.0, True)):
-        assert (pressed(limit, pace).status is Status.HOLDING) is holds
 
 
 def test_near_a_singularity_the_watch_stays_finite(paper: Scenario) -> None:
