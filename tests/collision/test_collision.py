@@ -27,6 +27,7 @@ from coopqp import (
     Clearance,
     CollisionScene,
     InvalidInputError,
+    Knot,
     LimitKind,
     QPController,
     QPOptions,
@@ -371,6 +372,28 @@ def test_shapes_whose_corners_are_no_points_are_refused(
     monkeypatch.setattr(KERNEL, "Nearby", other)
     with pytest.raises(ValueError, match="fit together"):
         clearance.in_memory(rows_memory(lift.cell.nv, 4))
+
+
+@pytest.mark.core
+@pytest.mark.skipif(len(KERNELS) < 2, reason="there is no compiler here")
+@pytest.mark.parametrize("longest", [0.1, 1.0])
+def test_rows_in_memory_stop_the_object_at_the_knots_where_the_definition_does(longest: float) -> None:
+    """On ways of any length to a knot: bodies are met at its ends, or passed in between."""
+    scenario, rng, stopped = forearms(), np.random.default_rng(6), []
+    scene, cell = CollisionScene.of(scenario, margin=0.01), scenario.cell
+    memory, definition = rows_memory(cell.nv, 4), Clearance(scene)
+    nearby: Any = Clearance(scene).in_memory(memory, ahead=True)
+    definition.check(scenario.q_start)
+    for _ in range(80):
+        x = cell.positions(scenario.q_start) + rng.uniform(-0.5, 0.5, cell.nv)
+        slope, curvature, span = rng.normal(size=cell.nv), 5.0 * rng.normal(size=cell.nv), rng.uniform(0.01, longest)
+        memory["knot_positions"][:], memory["knot_slope"][:], memory["knot_curvature"][:] = x, slope, curvature
+        memory["knots"][:] = span
+        label = definition.stopping_pair(Knot(0.0, CellState(cell, cell.configuration(x)), slope, curvature, span))
+        stopped.append((nearby.stopping(0) >= 0, label >= 0))
+    core, by_definition = np.array(stopped).T
+    np.testing.assert_array_equal(core, by_definition)
+    assert 10 < core.sum() < 70
 
 
 @pytest.mark.core
