@@ -1292,6 +1292,23 @@ def test_both_agree_on_corners_that_a_user_tells(make: Callable[[], Scenario], k
 
 
 @pytest.mark.core
+def test_both_brake_alike_beside_a_corner_when_paused_there() -> None:
+    """Between two knots: joints bend on this side of the corner as they do here."""
+    task = limited_once(mixed_cell, 5.0)
+    run, clocks = pair(task, path=lambda: zigzag(task, "linear"), dt=0.02), []
+    run.same = DISTURBED
+    for i in range(66):
+        clocks.append(run.take().clock_next)
+        if i >= 45 and abs(clocks[-1] - 1.0) < 0.1:
+            paused = Pair(*(copy.deepcopy(controller) for controller in (run.compiled, run.plain)), same=DISTURBED)
+            paused.both(lambda c: c.pause())
+            paused.run(3)
+    run.compare()
+    assert clocks[45] < 0.97
+    assert clocks[-1] > 1.03
+
+
+@pytest.mark.core
 @pytest.mark.parametrize("acceleration", [np.inf, 10.0])
 def test_both_agree_when_paths_of_all_kinds_follow_each_other_in_motion(acceleration: float) -> None:
     task = limited_once(mixed_cell, acceleration)
