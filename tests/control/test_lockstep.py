@@ -1297,14 +1297,14 @@ def test_both_brake_alike_beside_a_corner_when_paused_there() -> None:
     task = limited_once(mixed_cell, 5.0)
     run, clocks = pair(task, path=lambda: zigzag(task, "linear"), dt=0.02), []
     run.same = DISTURBED
-    for i in range(66):
+    for _ in range(60):
         clocks.append(run.take().clock_next)
-        if i >= 45 and abs(clocks[-1] - 1.0) < 0.1:
+        if abs(clocks[-1] - 1.0) < 0.05:
             paused = Pair(*(copy.deepcopy(controller) for controller in (run.compiled, run.plain)), same=DISTURBED)
             paused.both(lambda c: c.pause())
             paused.run(3)
     run.compare()
-    assert clocks[45] < 0.97
+    assert clocks[0] < 0.9
     assert clocks[-1] > 1.03
 
 

@@ -439,7 +439,7 @@ def test_core_and_definition_see_the_same_haste_of_joints(task: Scenario) -> Non
         made.reset(task.q_start)
         rng, q, haste = np.random.default_rng(0), task.q_start, minding_scalars(made._relaxation.memory)
         seen.append([])
-        for _ in range(150):
+        for _ in range(100):
             step = made.step(q, wrenches=0.5 * rng.normal(size=(3, 6)))
             q = step.q_next
             seen[-1].append(haste.haste)
