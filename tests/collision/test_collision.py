@@ -27,6 +27,7 @@ from coopqp import (
     Clearance,
     CollisionScene,
     InvalidInputError,
+    Knot,
     LimitKind,
     QPController,
     QPOptions,
@@ -333,6 +334,76 @@ def test_rows_in_memory_refuse_what_does_not_fit(lift: Scenario) -> None:
         clearance.in_memory({**memory, "G": read_only})
     moving = scene_of(lift, margin=0.0, moving=[replace(lid(lift, 0.1), name="cart")])
     assert Clearance(moving).in_memory(memory) is None
+
+
+@pytest.mark.core
+@pytest.mark.skipif(len(KERNELS) < 2, reason="there is no compiler here")
+@pytest.mark.parametrize("name", ["q_index", "continuous", "questions", "points"])
+def test_rows_in_memory_refuse_what_does_not_fit_what_coal_is_asked(
+    name: str, lift: Scenario, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    build: Any = KERNEL.Nearby
+
+    def one_more(arrays: Any, settings: Any, coal: Any, shapes: Any) -> Any:
+        given = coal[name]
+        longer = [*given, given[-1]]
+        return build(arrays, settings, {**coal, name: longer if isinstance(given, list) else np.array(longer)}, shapes)
+
+    monkeypatch.setattr(KERNEL, "Nearby", one_more)
+    with pytest.raises(ValueError, match="fit together"):
+        Clearance(scene_of(lift, margin=0.0)).in_memory(rows_memory(lift.cell.nv, 4))
+
+
+@pytest.mark.core
+@pytest.mark.skipif(len(KERNELS) < 2, reason="there is no compiler here")
+@pytest.mark.parametrize(("corners", "hulls"), [(4, False), (4, True), (0, True)])
+def test_shapes_whose_corners_are_no_points_are_refused(
+    corners: int, hulls: bool, lift: Scenario, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    build: Any = KERNEL.Nearby
+
+    def other(arrays: Any, settings: Any, coal: Any, shapes: Any) -> Any:
+        some = [np.ones(corners) if (own.size > 0) == hulls else own for own in shapes["corners"]]
+        return build(arrays, settings, coal, {**shapes, "corners": some})
+
+    hull = Body("stone", Hull(0.1 * np.random.default_rng(5).normal(size=(12, 3))))
+    clearance = Clearance(scene_of(lift, margin=0.0, obstacles=[hull]))
+    assert clearance.in_memory(rows_memory(lift.cell.nv, 4)) is not None
+    monkeypatch.setattr(KERNEL, "Nearby", other)
+    with pytest.raises(ValueError, match="fit together"):
+        clearance.in_memory(rows_memory(lift.cell.nv, 4))
+
+
+@pytest.mark.core
+@pytest.mark.skipif(len(KERNELS) < 2, reason="there is no compiler here")
+@pytest.mark.parametrize("longest", [0.1, 1.0])
+def test_rows_in_memory_stop_the_object_at_the_knots_where_the_definition_does(longest: float) -> None:
+    """On ways of any length to a knot: bodies are met at its ends, or passed in between."""
+    scenario, rng, stopped = forearms(), np.random.default_rng(6), []
+    scene, cell = CollisionScene.of(scenario, margin=0.01), scenario.cell
+    memory, definition = rows_memory(cell.nv, 4), Clearance(scene)
+    nearby: Any = Clearance(scene).in_memory(memory, ahead=True)
+    definition.check(scenario.q_start)
+    for _ in range(50):
+        x = cell.positions(scenario.q_start) + rng.uniform(-0.5, 0.5, cell.nv)
+        slope, curvature, span = rng.normal(size=cell.nv), 5.0 * rng.normal(size=cell.nv), rng.uniform(0.01, longest)
+        memory["knot_positions"][:], memory["knot_slope"][:], memory["knot_curvature"][:] = x, slope, curvature
+        memory["knots"][:] = span
+        label = definition.stopping_pair(Knot(0.0, CellState(cell, cell.configuration(x)), slope, curvature, span))
+        stopped.append((nearby.stopping(0) >= 0, label >= 0))
+    core, by_definition = np.array(stopped).T
+    np.testing.assert_array_equal(core, by_definition)
+    assert 5 < core.sum() < 45
+
+
+@pytest.mark.core
+@pytest.mark.skipif(len(KERNELS) < 2, reason="there is no compiler here")
+def test_only_knots_that_exist_stop_the_object(lift: Scenario) -> None:
+    nearby: Any = Clearance(scene_of(lift, margin=0.0)).in_memory(rows_memory(lift.cell.nv, 4), ahead=True)
+    nearby.stopping(0)
+    for place in (-1, 1, 10**6):
+        with pytest.raises(IndexError, match="no such knot"):
+            nearby.stopping(place)
 
 
 @pytest.mark.core

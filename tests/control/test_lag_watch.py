@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from coopqp import Cause, ControlStep, QPController, Status, SupervisionOptions
+from coopqp import Cause, ControlStep, HoldPath, LinePath, QPController, Status, SupervisionOptions
 from coopqp.native import available_kernels
 from coopqp.scenarios import paper_lift
 from coopqp.spatial import Array
@@ -57,3 +57,24 @@ def test_both_kernels_agree() -> None:
 def test_told_servos_are_asked_instead() -> None:
     steps = run(available_kernels()[0], late=0.02, follows=0.6, at=0.8, until=0.9, told=True)
     assert not any(FOUND in step.reason for step in steps)
+
+
+@pytest.mark.core
+@pytest.mark.parametrize("kernel", available_kernels())
+def test_what_the_deviation_is_at_rest_is_averaged_over_a_tenth_of_a_second(kernel: str) -> None:
+    """After 0.9 mm, 1.7 mm; 2.3 mm are a millimetre beyond what they have become in one step of 50 ms, not in two."""
+    task = paper_lift()
+    start, dt = task.path.pose(0.0), 0.05
+    rise = LinePath.displaced(start, translation=(0.0, 0.0, 3e-3), duration=1.0, time_law="linear")
+    raised = QPController(task.cell, task.grasp, rise, dt=dt)
+    raised.reset(task.q_start)
+    way = [raised.step() for _ in range(20)]
+    heights, q = [3e-3 * step.clock_next for step in way], np.array([step.q_next for step in way]).T
+    watch = SupervisionOptions(noise_margin=0.0, filter_time=0.0, stall_samples=None)
+    options = {"kernel": kernel, "supervision": watch, "path_gain": 0.0, "grasp_gain": 0.0}
+    for lasts, found in ((1, True), (2, False)):
+        made = QPController(task.cell, task.grasp, HoldPath(start, duration=9.0), dt=dt, options=options)
+        made.reset(task.q_start)
+        for i, height in enumerate([0.9e-3] * 6 + [1.7e-3] * lasts + [2.3e-3]):
+            step = made.step(np.array([np.interp(height, heights, joint) for joint in q]) + 1e-9 * i)
+        assert (FOUND in step.reason) is found

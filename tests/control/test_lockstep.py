@@ -680,6 +680,26 @@ def test_both_agree_on_joints_that_arms_share(torso: str, how: tuple[str, float]
 
 
 @pytest.mark.core
+@pytest.mark.parametrize("torso", TORSOS)
+def test_a_sample_that_is_sent_again_is_lost_to_arms_that_share_joints_unless_these_move(
+    torso: str, tmp_path: Path
+) -> None:
+    """An arm far off is a fault in the second sample that is new: three that repeat to the last bit are none."""
+    task = on_a_torso(torso, tmp_path)
+    watch = SupervisionOptions(joint_jump=2.0, stall_samples=None, noise_margin=0.0)
+    for moving in (None, *range(len(TORSOS[torso]))):
+        run = pair(task, dt=0.01, supervision=watch).run(10, noisy(task.cell, size=1e-9))
+        x, found = task.cell.positions(run.told[-1]), []
+        x[task.cell.v_slices[1]] += 0.1
+        for _ in range(6):
+            if moving is not None:
+                x[moving] += 1e-9
+            found.append(run.take(task.cell.configuration(x)).status is Status.FAULT)
+        run.compare()
+        assert found.index(True) == (4 if moving is None else 1)
+
+
+@pytest.mark.core
 @pytest.mark.parametrize(
     "mode", slow_but_first(["nominal", "forces watched, an arm stalls", "always a QP", "one arm lags", "no preview"])
 )
@@ -1211,6 +1231,27 @@ def test_both_agree_on_targets_that_jump_about(make: Callable[[], Scenario], acc
 
 
 @pytest.mark.core
+@pytest.mark.parametrize("acceleration", [20.0, np.inf])
+def test_both_take_targets_in_motion_where_joints_allow_the_override_and_not_the_full_rate(
+    acceleration: float,
+) -> None:
+    task = limited_once(two_arms, acceleration)
+    task = dataclasses.replace(task, cell=task.cell.with_limits(velocity=0.1 * task.cell.limits.velocity))
+    start, rng = task.path.pose(0.0), np.random.default_rng(3)
+    run = pair(task, path=lambda: ServoPath(start, speed=0.3, spin=0.6), dt=0.008)
+    run.same = DISTURBED
+    run.both(lambda c: c.set_override(0.7))
+    for i in range(4):
+        way, about = rng.standard_normal(3), rng.standard_normal(3)
+        goal = pin.SE3(start.rotation @ pin.exp3(0.2 * about), start.translation + 0.1 * way)
+        run.both(lambda c, T=goal: c.retarget(T))
+        step = run.take()
+        assert i == 0 or "brakes before it goes over" not in step.reason
+        run.run(int(rng.integers(4, 9)))
+    assert run.plain.step().rate == pytest.approx(0.7)
+
+
+@pytest.mark.core
 @pytest.mark.parametrize("kind", ["wrist", "elbow", "reach"])
 @pytest.mark.parametrize("acceleration", [np.inf, 10.0])
 def test_both_agree_on_the_way_into_a_singularity(kind: Any, acceleration: float) -> None:
@@ -1248,6 +1289,23 @@ def test_both_agree_on_corners_that_a_user_tells(make: Callable[[], Scenario], k
     run.same = DISTURBED
     run.run(70, noisy(task.cell, size=1e-5))
     assert run.seen >= {Status.TRACKING}
+
+
+@pytest.mark.core
+def test_both_brake_alike_beside_a_corner_when_paused_there() -> None:
+    """Between two knots: joints bend on this side of the corner as they do here."""
+    task = limited_once(mixed_cell, 5.0)
+    run, clocks = pair(task, path=lambda: zigzag(task, "linear"), dt=0.02), []
+    run.same = DISTURBED
+    for _ in range(60):
+        clocks.append(run.take().clock_next)
+        if abs(clocks[-1] - 1.0) < 0.05:
+            paused = Pair(*(copy.deepcopy(controller) for controller in (run.compiled, run.plain)), same=DISTURBED)
+            paused.both(lambda c: c.pause())
+            paused.run(3)
+    run.compare()
+    assert clocks[0] < 0.9
+    assert clocks[-1] > 1.03
 
 
 @pytest.mark.core

@@ -21,6 +21,7 @@ from coopqp import (
     Grasp,
     HoldPath,
     InvalidInputError,
+    LinePath,
     QPController,
     QPOptions,
     RobotCell,
@@ -422,6 +423,29 @@ def test_core_and_definition_agree_about_steps_with_wrenches(case: str) -> None:
         assert a[1] == pytest.approx(b[1], abs=same)
         assert a[2] is b[2]
         assert a[3].partition(" at the ")[0] == b[3].partition(" at the ")[0], "of palms that press alike any is named"
+
+
+@pytest.mark.core
+def test_core_and_definition_see_the_same_haste_of_joints(task: Scenario) -> None:
+    """It is that of what is commanded: as a path begins it rises, and once its speed is constant it is forgotten."""
+    if len(available_kernels()) < 2:
+        pytest.skip("one kernel")
+    seen: list[list[float]] = []
+    there = task.path.pose(0.0)
+    line = LinePath.displaced(there, translation=(0.0, 0.0, 0.3), duration=2.0, time_law="linear")
+    for kernel in ("compiled", "plain"):
+        inner = QPController(task.cell, task.grasp, line, dt=0.01, options={"kernel": kernel})
+        made = ForceController(inner, {"stiffness": 1e5, "presses": False, "check_time": 0.0})
+        made.reset(task.q_start)
+        rng, q, haste = np.random.default_rng(0), task.q_start, minding_scalars(made._relaxation.memory)
+        seen.append([])
+        for _ in range(100):
+            step = made.step(q, wrenches=0.5 * rng.normal(size=(3, 6)))
+            q = step.q_next
+            seen[-1].append(haste.haste)
+        assert step.rate == 1.0
+        assert max(seen[-1]) > 5.0 * seen[-1][-1]
+    np.testing.assert_allclose(seen[0], seen[1], rtol=0, atol=1e-6)
 
 
 @pytest.mark.core

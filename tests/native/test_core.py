@@ -457,6 +457,15 @@ def test_fields_are_zero_at_first_and_do_not_overlap(paper: Scenario) -> None:
                layout.BLOCKS[block] if fields[name].size)  # fmt: skip
 
 
+@pytest.mark.parametrize("make", [paper_lift, dual_arm7, lambda: ring(arms=5)])
+def test_the_largest_least_distance_program_has_room(make: Callable[[], Scenario]) -> None:
+    """All joints outside limits, all further rows soft: rows, bounds, multipliers, and 2 n (n + 3) to work in."""
+    fields = native.Core(*built(loop_of(make()))).fields()
+    n, m = fields["x"].size, 2 * fields["command"].size + fields["further_owner"].size
+    assert fields["columns"].size == (m - fields["command"].size) * fields["unit"].size
+    assert fields["scratch"].size >= m * n + 2 * m + 2 * n + (m + n) + 2 * n * (n + 3)
+
+
 @pytest.mark.parametrize(
     ("field", "value"),
     [("arm_start", -1.0), ("arm_start", 13.0), ("arm_start", np.nan), ("arm_size", 5.0), ("arm_size", 1e9),
