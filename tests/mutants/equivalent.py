@@ -128,6 +128,21 @@ EQUIVALENT: dict[tuple[str, str, str], str] = {
                 "if far > motion.attach_m or turned >= motion.attach_rad:",
             ): "an angle of exactly the tolerance",
         },
+        "coopqp/native/edges.cpp": {
+            (
+                "if (open[i] == last) std::swap(open[0], open[i]);",
+                "if (open[i] == last) std::swap(open[1], open[i]);",
+            ): "the order of asking; any pair that stops an edge may be named",
+        },
+        "coopqp/native/step.cpp": {
+            ("entries[4 * count + 1] = -1.0;", ";"): "the arm is read only where it is written afterwards",
+        },
+        "coopqp/native/braking.cpp": {
+            (
+                "entry[1] = joint < 0 ? number : -1.0;",
+                "entry[1] = joint < 0 ? number : -1.0 * 2;",
+            ): "of a joint's row no arm is read",
+        },
         "coopqp/native/program.cpp": {
             (
                 "const double square = columns.squaredNorm() + (slack >= 0 ? unit * unit : 0.0);",
