@@ -342,7 +342,7 @@ class _Search:
         return least
 
     def _best(self, marks: Indices, values: Sequence[Array], times: Sequence[Array]) -> _Answer | None:
-        """The way with the least time, and of those with the largest score."""
+        """The way with the least time, or where that is none the least motion; of those with the largest score."""
         for wanted in _WANTED:
             quickest = self._way(values, times, wanted)
             if quickest is None:
