@@ -398,6 +398,35 @@ def test_rows_in_memory_stop_the_object_at_the_knots_where_the_definition_does(l
 
 @pytest.mark.core
 @pytest.mark.skipif(len(KERNELS) < 2, reason="there is no compiler here")
+def test_arms_evade_in_memory_as_by_the_definition_whenever_distances_were_asked() -> None:
+    """To the last bit where they were asked in pieces before; the definition has the normals of coal, less sharp."""
+    scenario, rng, evading = forearms(), np.random.default_rng(7), 0
+    scene, cell = CollisionScene.of(scenario, margin=0.01), scenario.cell
+    memories, definition = [rows_memory(cell.nv, 4) for _ in range(2)], Clearance(scene)
+    late, early = (Clearance(scene).in_memory(memory, ahead=True) for memory in memories)
+    x = start = cell.positions(scenario.q_start)
+    for _ in range(60):
+        x = 0.5 * (x + start) + rng.uniform(-0.1, 0.1, cell.nv)
+        if min(pair.distance for pair in scene.distances(cell.configuration(x))) < 0.0:
+            continue
+        slope, expected = rng.normal(size=(2, cell.nv))
+        for memory, nearby in zip(memories, (late, early), strict=True):
+            assert nearby is not None
+            memory["evading_positions"][:], memory["evading_slope"][:] = x, expected
+            while nearby is early and nearby.surveys():
+                pass
+            memory["evading_slope"][:] = slope
+            assert nearby.evade()
+        wanted = definition.evaded(cell.configuration(x), slope)
+        moved = np.abs(wanted - slope).max()
+        evading += bool(moved > 0.0)
+        np.testing.assert_array_equal(memories[1]["evading_slope"], memories[0]["evading_slope"])
+        np.testing.assert_allclose(memories[0]["evading_slope"], wanted, atol=2e-3 * max(1.0, moved))
+    assert evading > 10
+
+
+@pytest.mark.core
+@pytest.mark.skipif(len(KERNELS) < 2, reason="there is no compiler here")
 def test_only_knots_that_exist_stop_the_object(lift: Scenario) -> None:
     nearby: Any = Clearance(scene_of(lift, margin=0.0)).in_memory(rows_memory(lift.cell.nv, 4), ahead=True)
     nearby.stopping(0)
