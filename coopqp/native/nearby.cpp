@@ -18,7 +18,7 @@
  * pairs than this, surveys and other work share steps. A share of the distance that is sharp, and one that is where only
  * more than enough is asked for. */
 #define MOST_SHARPENED 3
-#define SHARPENED_EARLY 4
+#define SHARPENED_EARLY 5
 #define SHARPENED_AT_START 100
 #define GAPS_EARLY 4
 #define MANY_PAIRS 8000
