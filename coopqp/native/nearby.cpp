@@ -428,7 +428,7 @@ bool Nearby::look_for_gaps() {
     if (!(set.evades > 0.0) || !lacks_speed(evading_slope.data, WIDER)) return false;
     for (const Py_ssize_t k : near) {
         const size_t known = gaps_stamp == sharp_stamp ? gaps.size() : 0;
-        gap_of(k, at.data);
+        gap_of(k);
         if (gaps.size() > known && ++count == GAPS_EARLY) return true;
     }
     return false;
@@ -557,8 +557,9 @@ bool Nearby::lacks_speed(const double *slope, double share) {
     return any;
 }
 
-/* The gap of a pair where the joints are `at`, at x, found once. */
-const Nearby::Gap &Nearby::gap_of(Py_ssize_t k, const double *x) {
+/* The gap of a pair where the joints are `at`, found once. */
+const Nearby::Gap &Nearby::gap_of(Py_ssize_t k) {
+    const double *x = at.data;
     if (gaps_stamp != sharp_stamp) gaps.clear(), gaps_stamp = sharp_stamp;
     for (const Gap &gap : gaps)
         if (gap.pair == k) return gap;
@@ -579,7 +580,7 @@ bool Nearby::evade() {
     bool any = false;
     evasion.begin();
     for (const Py_ssize_t k : near) {
-        const Gap &gap = gap_of(k, x);
+        const Gap &gap = gap_of(k);
         if (!(gap.clearance < set.evades)) continue;
         const Eigen::Map<const Vector3> normal(gap.ends), point(gap.ends + 3);
         const Vector6 force = both(normal, point.cross(normal)); /* about the world's origin */

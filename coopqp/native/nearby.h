@@ -162,7 +162,7 @@ private:
     bool look_for_knot();
     bool look_for_gaps();
     bool lacks_speed(const double *slope, double share);
-    const Gap &gap_of(Py_ssize_t k, const double *x);
+    const Gap &gap_of(Py_ssize_t k);
     double clearance_at(Py_ssize_t k, const double *x, double enough);
     double clearance_before(Py_ssize_t k, const Arrival &to, double back, double enough);
     bool falls_below(Py_ssize_t k, const Arrival &to, double least, Sample late, Sample early, double way);
