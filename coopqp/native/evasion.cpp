@@ -40,8 +40,7 @@ static void find_null_space(double (&A)[6][MOST_JOINTS], int n, double (&Z)[MOST
 /* An orthonormal basis of each redundant arm's self-motion, in units of its joints' speeds. */
 void Evasion::find_basis(Shapes &shapes, const In &arm, const In &speeds) {
     const Py_ssize_t nv = arm.size;
-    Py_ssize_t all = 0;
-    basis.setZero(nv, nv);
+    basis.clear();
     for (Py_ssize_t begin = 0, end; begin < nv; begin = end) {
         for (end = begin; end < nv && arm.data[end] == arm.data[begin];) end++;
         const Py_ssize_t n = end - begin;
@@ -53,34 +52,40 @@ void Evasion::find_basis(Shapes &shapes, const In &arm, const In &speeds) {
             for (int k = 0; k < 6; k++) tool[k][i] = scale[i] * moved[k];
         }
         find_null_space(tool, (int)n, still);
-        for (Py_ssize_t z = 0; z < n - 6; z++, all++)
-            for (Py_ssize_t i = 0; i < n; i++) basis(begin + i, all) = scale[i] * still[z][i];
+        for (Py_ssize_t z = 0; z < n - 6; z++) {
+            basis.resize(basis.size() + (size_t)nv);
+            double *column = basis.data() + basis.size() - nv;
+            for (Py_ssize_t i = 0; i < n; i++) column[begin + i] = scale[i] * still[z][i];
+        }
     }
-    basis.conservativeResize(nv, all);
 }
 
 /* min |z|² + |s|² with G (q′ + N z) + s / YIELDS >= lower: of rows that self-motion changes, with unit norm. */
 void Evasion::move(Shapes &shapes, const In &arm, const In &speeds, double *slope) {
     using Rows = Eigen::Matrix<double, Eigen::Dynamic, Eigen::Dynamic, Eigen::RowMajor>;
+    using Numbers = Eigen::Map<Eigen::VectorXd>;
     find_basis(shapes, arm, speeds);
-    const Py_ssize_t motions = basis.cols(), all = (Py_ssize_t)missing.size();
-    const Rows turned = Eigen::Map<const Rows>(rows.data(), all, arm.size) * basis;
-    std::vector<Py_ssize_t> helping;
+    const Py_ssize_t nv = arm.size, motions = (Py_ssize_t)basis.size() / nv, all = (Py_ssize_t)missing.size();
+    const Eigen::Map<const Eigen::MatrixXd> N(basis.data(), nv, motions);
+    turned.resize((size_t)(all * motions));
+    Eigen::Map<Rows> GN(turned.data(), all, motions);
+    GN = Eigen::Map<const Rows>(rows.data(), all, nv).lazyProduct(N);
+    helping.clear();
     for (Py_ssize_t i = 0; i < all && motions; i++)
-        if (turned.row(i).cwiseAbs().maxCoeff() > HELPS) helping.push_back(i);
+        if (GN.row(i).cwiseAbs().maxCoeff() > HELPS) helping.push_back(i);
     const Py_ssize_t m = (Py_ssize_t)helping.size(), n = m + motions;
     if (!m) return;
-    Rows A = Rows::Zero(m, n);
-    Eigen::VectorXd low(m), x(n), y(m + n), work(2 * n * (n + 3));
+    room.assign((size_t)(m * n + m + n + 3 * (m + n) + 2 * n * (n + 3)), 0.0);
+    double *const matrix = room.data(), *const low = matrix + m * n, *const x = low + m, *const y = x + n;
+    double *const lb = y + m + n, *const ub = lb + m + n, *const work = ub + m + n;
+    Eigen::Map<Rows> A(matrix, m, n);
     for (Py_ssize_t i = 0; i < m; i++) {
-        const auto row = turned.row(helping[(size_t)i]);
+        const auto row = GN.row(helping[(size_t)i]);
         const double per = 1.0 / sqrt(row.squaredNorm() + 1.0 / (YIELDS * YIELDS));
         A.row(i).head(motions) = per * row;
         A(i, motions + i) = per / YIELDS, low[i] = per * missing[(size_t)helping[(size_t)i]];
     }
-    const Eigen::VectorXd ub = Eigen::VectorXd::Constant(m + n, INFINITY), lb = -ub;
-    if (best()->least_distance((int)n, (int)m, A.data(), low.data(), ub.data(), lb.data(), ub.data(), INFINITY, x.data(),
-                               y.data(), work.data()) < 0)
-        return;
-    Eigen::Map<Eigen::VectorXd>(slope, arm.size) += basis * x.head(motions);
+    Numbers(lb, m + n).setConstant(-INFINITY), Numbers(ub, m + n).setConstant(INFINITY);
+    if (best()->least_distance((int)n, (int)m, matrix, low, ub, lb, ub, INFINITY, x, y, work) < 0) return;
+    Numbers(slope, nv) += N.lazyProduct(Numbers(x, motions));
 }

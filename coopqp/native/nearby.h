@@ -99,7 +99,8 @@ public:
 private:
     void find_basis(Shapes &shapes, const In &arm, const In &speeds);
     std::vector<double> rows, missing;
-    Eigen::MatrixXd basis; /* joints of each motion */
+    std::vector<double> basis, turned, room; /* columns of N; G N; scratch of a move */
+    std::vector<Py_ssize_t> helping;         /* rows that self-motion changes */
 };
 
 class Nearby {
