@@ -25,13 +25,10 @@ from coopqp.visualization.jog.page import JogPage
 from coopqp.visualization.jog.seen import Seen
 
 TRACK = "[class*=Slider-track]"
-#: Where frames are slow viser draws more coarsely. Time between two looks at a picture, each of which draws one [s].
+#: Where frames are slow viser draws more coarsely, unless the address says how finely.
+_FINELY = "?fixedDpr=1"
+#: Time between two looks at a page, each of which draws it [s].
 _SELDOM = 0.7
-#: Whether it does so; then the page is opened anew, so often at most. The canvas of the labels has no pixels.
-_COARSE = (
-    "[...document.querySelectorAll('canvas')].some(c => c.width > 0 && c.width < c.clientWidth * devicePixelRatio - 1)"
-)
-_ATTEMPTS = 4
 
 
 def run_at_limit() -> Recording:
@@ -107,7 +104,7 @@ def shoot_jog(picture: Path, *, width: int = 880, height: int = 470) -> None:
         tempfile.TemporaryDirectory(ignore_cleanup_errors=True) as folder,
         Page(_browser(), Path(folder) / "profile", width=width, height=height) as page,
     ):
-        page.open(shown.url)
+        page.open(shown.url + _FINELY)
         page.wait_until(lambda: page.evaluate("document.body?.innerText.includes('Return')"))
         page.wait_until(lambda: _drawn(page.screenshot()), timeout=90)
         _without_notes(page)
@@ -140,16 +137,13 @@ def shoot(
     program = _browser()
     with tempfile.TemporaryDirectory(ignore_cleanup_errors=True) as folder:  # the browser ends later
         file = write(Path(folder) / "page.html")
-        for attempt in range(_ATTEMPTS):
-            with Page(program, Path(folder) / f"profile {attempt}", width=width, height=height) as page:
-                drawn = _shot(page, file, share)
-                if not page.evaluate(_COARSE):
-                    break
+        with Page(program, Path(folder) / "profile", width=width, height=height) as page:
+            drawn = _shot(page, file, share)
         Image.fromarray(drawn.astype("uint8")).quantize(200).save(picture, optimize=True)
 
 
 def _shot(page: Page, file: Path, share: float | None) -> Picture:
-    page.open(file.as_uri())
+    page.open(file.as_uri() + _FINELY)
     page.wait_until(lambda: page.evaluate(f"!!document.querySelector('{TRACK}')"))
     page.wait_until(lambda: page.evaluate("!!document.querySelector('canvas')"))
     page.wait_until(lambda: _drawn(page.screenshot()), timeout=90, every=_SELDOM)
