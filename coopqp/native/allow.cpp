@@ -38,10 +38,11 @@ static void press_harder(MindingArrays &f, double needed, double dt) {
 }
 
 /* Let the rate that forces allow come closer to `cap`: it falls in proportion to itself, as braking makes forces of its own, and
- * rises the less, the more is felt, and the stiffer the servos are. */
+ * rises the less, the more is felt, and the stiffer the servos are: there a force that is felt soon is a large one. */
 static void ease_cap(Minding *m, double cap, double dt) {
     const double falls = maximum(m->force_cap, SLOW_RATE) / RATE_FALLS;
-    const double calm = maximum(1.0 - m->size / m->force_slows, LEAST_CALM) / sqrt(maximum(m->stiffer, 1.0));
+    const double root = sqrt(maximum(m->stiffer, 1.0));
+    const double calm = maximum(1.0 - root * m->size / m->force_slows, LEAST_CALM) / root;
     m->force_cap = minimum(maximum(cap, m->force_cap - falls * dt), m->force_cap + calm * dt / RATE_RISES);
 }
 

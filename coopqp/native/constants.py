@@ -180,10 +180,9 @@ STRAIGHT_BACK = 0.95  # cosine from which on an arm's way back is taken for the 
 # -- forces from the sensors -------------------------------------------------------------------------------------------
 RATE_FALLS = 0.6  # the rate by forces falls with this time constant, so that braking makes none [s],
 SLOW_RATE = 0.1  # below this rate steadily,
-RATE_RISES = 2.0  # and rises again in this time without forces [s],
+RATE_RISES = 2.0  # and rises in this time without forces [s],
 LEAST_CALM = 0.1  # or at this share of that pace where there are some
-STRANGE_SERVOS = 1.5  # servos stiffer or softer than told by this factor
-CAREFUL_START = 0.2  # begin at this rate
+CAREFUL_START = 0.45  # the rate with which the object begins, less by √ρ on servos that are ρ times other than told
 SLOWEST_LESSON = 0.7  # drifts are learned as fast down to this rate
 FRICTION_SLOWS = 0.9  # share of a palm's friction in use above which the object slows down; at 1 it rests
 SENSED_MOTION = 1e-4  # commanded joint velocities above this change what a sensor reads [rad/s or m/s]

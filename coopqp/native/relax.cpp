@@ -92,15 +92,14 @@ static void come_back(int arms, MindingArrays &f, double dt) {
     }
 }
 
-/* Palms press, and all forces are small, for long enough: then the object moves, slowly at first on servos that were found to
- * be other ones than told. */
+/* Palms press, and all forces are small, for long enough: then the object moves, slowly at first, so that forces of lags and
+ * bases are felt while they are small. The pads of palms yield, and servos that do not answer make none. */
 static void wait_at_rest(Minding *m, double dt) {
     m->since = m->size > m->pressed_below ? 0.0 : m->since + dt;
     if (!(m->since > m->wait && m->size < m->move_below)) return;
     m->stage = MOVING, m->since = 0.0;
-    const int softer = m->stiffer > SOFTEST && m->stiffer * STRANGE_SERVOS < 1.0; /* or they do not answer at all */
-    if (m->has_palms == 0.0 && (softer || m->stiffer > STRANGE_SERVOS)) /* the pads of palms yield, too */
-        m->force_cap = minimum(m->force_cap, CAREFUL_START);
+    if (m->has_palms == 0.0 && m->stiffer > SOFTEST)
+        m->force_cap = minimum(m->force_cap, CAREFUL_START / sqrt(maximum(m->stiffer, 1.0 / m->stiffer)));
 }
 
 /* The object is led to its path once the arms have relaxed: before, that would be a pull of its own. */

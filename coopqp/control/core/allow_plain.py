@@ -44,11 +44,11 @@ def _ease_cap(m: Any, cap: float, dt: float) -> None:
     """Let the rate that forces allow come closer to ``cap``.
 
     It falls in proportion to itself, as braking makes forces of its own, and rises the less, the more is felt, and the
-    stiffer the servos are.
+    stiffer the servos are: there a force that is felt soon is a large one.
     """
-    now = m.force_cap
+    now, root = m.force_cap, math.sqrt(max(m.stiffer, 1.0))
     falls = max(now, SLOW_RATE) / RATE_FALLS
-    calm = max(1.0 - m.size / m.force_slows, LEAST_CALM) / math.sqrt(max(m.stiffer, 1.0))
+    calm = max(1.0 - root * m.size / m.force_slows, LEAST_CALM) / root
     m.force_cap = min(max(cap, now - falls * dt), now + calm * dt / RATE_RISES)
 
 

@@ -30,7 +30,6 @@ from coopqp.native.constants import (
     SERVO_PEAK,
     SLOWEST_LESSON,
     SOFTEST,
-    STRANGE_SERVOS,
     TURN_LENGTH,
     UNTIL_TOLD,
 )
@@ -243,15 +242,13 @@ def _come_back(m: Any, x: dict[str, Array], dt: float) -> None:
 def _wait_at_rest(m: Any, dt: float) -> None:
     """Palms press, and all forces are small, for long enough: then the object moves.
 
-    It moves slowly at first on servos that were found to be other ones than told.
+    It moves slowly at first, so that forces of lags and bases are felt while they are small.
     """
     m.since = 0.0 if m.size > m.pressed_below else m.since + dt
     if m.since > m.wait and m.size < m.move_below:
         m.stage, m.since = MOVING, 0.0
-        stiffer = m.stiffer
-        softer = stiffer > SOFTEST and stiffer * STRANGE_SERVOS < 1.0  # or they do not answer at all
-        if not m.has_palms and (softer or stiffer > STRANGE_SERVOS):  # the pads of palms yield, too
-            m.force_cap = min(m.force_cap, CAREFUL_START)
+        if not m.has_palms and m.stiffer > SOFTEST:  # the pads of palms yield, and such servos do not answer
+            m.force_cap = min(m.force_cap, CAREFUL_START / math.sqrt(max(m.stiffer, 1.0 / m.stiffer)))
 
 
 def _largest(rows: Array, linear: float, angular: float) -> float:
