@@ -38,6 +38,8 @@ ACCELERATIONS = (5.0, 15.0, np.inf)
 #: Steps of a path that is not known ahead, and the largest chain error [s], [m].
 BLIND = ((0.001, 1e-6), (0.002, 1e-6), (0.008, 2e-5))
 MARGIN = 0.02
+#: Of the 60 carts: those that touched before there were rows that brake all arms together (2c39a1e8), by acceleration.
+TOUCHED_BEFORE = {5.0: 16, 15.0: 9, np.inf: 10}
 
 
 class Unknown(ObjectPath):
@@ -232,17 +234,18 @@ def distance_to(scene: CollisionScene) -> Callable[[Array, pin.SE3], float]:
 
 
 def giving_way(quick: bool) -> Iterator[Promise]:
-    """Random carts: the chain, holds, and touches beside those without the rows."""
+    """Random carts: the chain, holds, and touches beside those before there were rows, and without them."""
     numbers = range(1 if quick else 60)
     for acceleration in ACCELERATIONS[:1] if quick else ACCELERATIONS:
         runs = [beside_cart(i, acceleration) for i in numbers]
         limited = np.isfinite(acceleration)  # else there are no rows
-        before = [beside_cart(i, acceleration, rows=False) for i in numbers] if limited else runs
+        without = [beside_cart(i, acceleration, rows=False) for i in numbers] if limited else runs
         case = f"give way to {len(runs)} carts, {acceleration:g} rad/s²"
         yield Promise(f"{case}: largest chain error", 1e3 * max(r.chain for r in runs), 0.1, "mm")
         yield Promise(f"{case}: steps HOLDING by the QP", sum(r.held for r in runs), 0.0, "")
-        touched, before_touched = (sum(r.least <= 0.0 for r in some) for some in (runs, before))
-        yield Promise(f"{case}: touched, without the rows {before_touched}", touched, before_touched, "")
+        touched, touched_without = (sum(r.least <= 0.0 for r in some) for some in (runs, without))
+        before = touched_without if quick else TOUCHED_BEFORE[acceleration]
+        yield Promise(f"{case}: touched, {touched_without} without the rows", touched, before, "")
         inside = sum(r.least < MARGIN - 1e-3 for r in runs)
         yield Promise(f"{case}: margin not kept", inside, len(runs), "")
 
