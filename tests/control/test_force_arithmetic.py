@@ -123,5 +123,24 @@ def test_a_rate_falls_in_proportion_and_rises_the_slower_the_more_is_felt() -> N
         allow(memory, 2, dt)
         wanted = float(np.clip((25.0 - size) / 20.0, 0.0, 1.0))
         fall = max(cap, constants.SLOW_RATE) / constants.RATE_FALLS * dt
-        rise = max(1.0 - size / 5.0, constants.LEAST_CALM) / math.sqrt(max(stiffer, 1.0)) * dt / constants.RATE_RISES
+        root = math.sqrt(max(stiffer, 1.0))
+        rise = max(1.0 - root * size / 5.0, constants.LEAST_CALM) / root * dt / constants.RATE_RISES
         assert minding_scalars(memory).allowed == pytest.approx(float(np.clip(wanted, cap - fall, cap + rise)))
+
+
+@pytest.mark.parametrize("kernel", ["plain", "compiled"])
+def test_an_object_begins_the_slower_the_less_its_servos_are_as_told(kernel: str) -> None:
+    """By √ρ, stiffer or softer; at the whole rate on palms, whose pads yield, and on servos that do not answer."""
+    relax, full = minding_of(kernel)[0], constants.CAREFUL_START
+    for stiffer, palms, rate in (
+        (1.0, 0.0, full), (4.0, 0.0, full / 2.0), (0.25, 0.0, full / 2.0), (4.0, 1.0, 1.0),
+        (constants.SOFTEST, 0.0, 1.0),
+    ):  # fmt: skip
+        memory = anyhow(
+            np.random.default_rng(0), 2, stage=RELAXING, has_palms=palms, stiffer=stiffer, force_cap=1.0, since=0.02,
+            wait=0.02, move_below=30.0, pressed_below=30.0, contact_limit=math.inf,
+            sensor_fault=layout.SENSORS.index("SENSORS_FINE"),
+        )  # fmt: skip
+        relax(memory, 2, np.zeros((2, 6)), 0.004)
+        m = minding_scalars(memory)
+        assert (m.stage, m.force_cap) == (MOVING, pytest.approx(rate)), (stiffer, palms)
