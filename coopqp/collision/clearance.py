@@ -25,7 +25,7 @@ from coopqp.constraints.velocity import MOST_ROWS, ConstraintTrouble, LabelledRo
 from coopqp.control.step.verdict import too_close
 from coopqp.errors import TooCloseError
 from coopqp.model.limits import BindingLimit, LimitKind
-from coopqp.model.shapes import NearPair
+from coopqp.model.shapes import NearPair, by_depth
 from coopqp.model.state import CellState
 from coopqp.native.constants import BEND_SAMPLE, BENT_WAY, SMALL_CLEARANCE, STANDING, WATCHED, WATCHED_BLIND
 from coopqp.spatial import Array, Placement, as_placement
@@ -204,8 +204,8 @@ class Clearance:
         names = list(dict.fromkeys(self.labels[i].between for i in near))
         others = len(names) - 1
         more = f", and {others} other pair{'s' * (others > 1)}" if others else ""
-        size, notes = f"{1e3 * abs(pair.distance):.1f} mm", self.scene.built.notes
-        apart = f"overlap by {size}" if pair.distance < 0.0 else f"are {size} from each other"
+        away, notes = pair.distance, self.scene.built.notes
+        apart = f"overlap{by_depth(away)}" if away < 0.0 else f"are {1e3 * away:.1f} mm from each other"
         hulls = "".join(f"; {notes[name]}" for name in (pair.first, pair.second) if name in notes)
         raise TooCloseError(
             f"{pair.first} and {pair.second} {apart}, inside their margin of {1e3 * self._margins[k]:.4g} mm{more}"

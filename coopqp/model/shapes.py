@@ -12,6 +12,7 @@ import pinocchio as pin
 
 from coopqp.checks import NOT_NUMBERS, as_floats, as_vector, keep_scalars, read_only, require
 from coopqp.errors import InvalidInputError, has_controls, shown
+from coopqp.native.constants import DEEPEST
 from coopqp.spatial import Array, Placement, as_placement
 
 #: Sizes of shapes [m].
@@ -184,7 +185,13 @@ class NearPair:
     distance: float
 
     def __str__(self) -> str:
-        return f"{self.first} and {self.second}: {1e3 * self.distance:.1f} mm"
+        apart = f"{1e3 * self.distance:.1f} mm" if self.distance > DEEPEST else "overlap"
+        return f"{self.first} and {self.second}: {apart}"
+
+
+def by_depth(distance: float, form: str = ".1f") -> str:
+    """How deep bodies overlap, in words: " by 3.4 mm" of the distance −0.0034 m, "" where no depth was found."""
+    return f" by {-1e3 * distance:{form}} mm" if distance > DEEPEST else ""
 
 
 def _keep_sizes(shape: Any, *names: str) -> None:

@@ -11,7 +11,7 @@ import numpy as np
 from coopqp.errors import InvalidInputError
 from coopqp.model.cell import RobotCell
 from coopqp.model.grasp import Grasp
-from coopqp.model.shapes import NearPair
+from coopqp.model.shapes import NearPair, by_depth
 from coopqp.planning.branch_checks import PathVerdict
 from coopqp.planning.joint_trajectories import CellTrajectory
 from coopqp.spatial import Array
@@ -72,12 +72,12 @@ class ClearanceCheck:
         text = f"distances: {by.first} and {by.second} come inside their margin at {self.stop:.2f} s"
         if self.stop == 0.0:
             overlap = by.distance < 0.0
-            size = f"overlapping by {_mm(-by.distance)}" if overlap else f"{_mm(by.distance)} apart"
+            size = f"overlapping{by_depth(by.distance, '.3g')}" if overlap else f"{_mm(by.distance)} apart"
             text = f"distances: {by.first} and {by.second} start {size}, inside their margin"
             if overlap:
                 return f"{text}{self._so}."
         if self.pair.distance <= 0.0:
-            deep = f"overlap by {_mm(-self.pair.distance)}" if self.pair.distance < 0.0 else "touch"
+            deep = f"overlap{by_depth(self.pair.distance, '.3g')}" if self.pair.distance < 0.0 else "touch"
             return f"{text}; {self.pair.first} and {self.pair.second} {deep} at {self.clock:.2f} s{self._so}."
         return f"{text}; closest {closest}{self._so}."
 

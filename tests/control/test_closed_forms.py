@@ -550,5 +550,6 @@ def test_pairs_inside_their_margin_are_said_with_their_distance() -> None:
 
     assert too_close(()) == ""
     assert too_close((pair(0.0034),)) == "a and b are 3.4 mm from each other, inside their margin"
+    assert too_close((pair(constants.DEEPEST),)) == "a and b overlap"  # coal found no depth
     assert too_close((pair(-0.0034),) * 2) == "a and b overlap by 3.4 mm, and 1 other pair"
     assert too_close((pair(0.0),) * 3) == "a and b are 0.0 mm from each other, inside their margin, and 2 other pairs"

@@ -11,6 +11,7 @@ import pytest
 
 from coopqp import InvalidInputError
 from coopqp.model.shapes import MOST_TRIANGLES, Body, Box, Capsule, Cylinder, Hull, Mesh, NearPair, Sphere
+from coopqp.native.constants import DEEPEST
 
 TETRAHEDRON = np.vstack([np.zeros(3), np.eye(3)])
 
@@ -115,3 +116,4 @@ def test_a_body_has_a_name_a_shape_and_a_place() -> None:
 
 def test_a_near_pair_says_its_distance_in_millimetres() -> None:
     assert str(NearPair("post", "arm/link", -0.01234)) == "post and arm/link: -12.3 mm"
+    assert str(NearPair("post", "arm/link", DEEPEST)) == "post and arm/link: overlap"  # no depth was found

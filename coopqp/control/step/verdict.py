@@ -14,6 +14,7 @@ from coopqp.control.options import QPOptions
 from coopqp.control.step.linearised import LinearisedAnswer
 from coopqp.control.step.state import LoopState
 from coopqp.model.limits import BindingLimit, LimitKind
+from coopqp.model.shapes import by_depth
 from coopqp.native.constants import ARRIVING, RATE_ROUNDING, RESTING_SPEED, RESTING_SPIN, STILL_BLOCKED, STILL_SLOWED
 from coopqp.spatial import Array
 
@@ -99,7 +100,7 @@ def too_close(inside: tuple[BindingLimit, ...]) -> str:
     more = f", and {others} other pair{'s' * (others > 1)}" if others else ""
     names, distance = " and ".join(inside[0].between), inside[0].distance or 0.0
     if distance < 0.0:
-        return f"{names} overlap by {-1e3 * distance:.1f} mm{more}"
+        return f"{names} overlap{by_depth(distance)}{more}"
     return f"{names} are {1e3 * distance:.1f} mm from each other, inside their margin{more}"
 
 
