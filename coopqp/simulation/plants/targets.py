@@ -89,7 +89,7 @@ class JointTargets:
         zero = np.zeros_like(x)
         self._segment = _Segment(-1.0, 0.0, x, zero, x, zero, True)
         self._mean, self._span = zero, 1.0
-        self._lagged, self._last_time = x.copy(), 0.0
+        self._lagged, self._last, self._last_time = x.copy(), x.copy(), 0.0  # _last: targets without lag at that time
         self._frozen: dict[int, Array] = {}
 
     @property
@@ -115,10 +115,13 @@ class JointTargets:
         if self._lag or self._stall:
             x, v = x.copy(), v.copy()
         passed, self._last_time = t - self._last_time, t
-        for s, tau in self._lag:
-            self._lagged[s] += (x[s] - self._lagged[s]) * -np.expm1(-passed / tau)
-            v[s] = (x[s] - self._lagged[s]) / tau
-            x[s] = self._lagged[s]
+        for s, tau in self._lag:  # ẋ = (target − x) / τ with a linear target since the last call
+            now = x[s].copy()
+            if passed > 0.0:
+                behind = tau / passed * (now - self._last[s])  # in the long run
+                self._lagged[s] = now - behind + np.exp(-passed / tau) * (self._lagged[s] - self._last[s] + behind)
+            self._last[s] = now
+            x[s], v[s] = self._lagged[s], (now - self._lagged[s]) / tau
         for s, time in self._stall:
             if t >= time - _SAME_TIME:
                 x[s] = self._frozen.setdefault(s.start, x[s].copy())
