@@ -506,7 +506,9 @@ class ForceController(OperatorCalls):
     def _tell(self, step: ControlStep) -> None:
         """Put the forces' reason into a step, before anyone sees it."""
         why = int(self._scalars.why)
-        status = step.status
+        status, cause = step.status, step.cause
+        if why == BY_STAGE and status is Status.OFF_PATH:  # it waits for its arms, and is led back when it moves
+            status, cause = Status.PAUSED, Cause.OPERATOR
         if (
             why in (BY_SENSOR, BY_REACH, BY_CONTACT) or squeezes(self._scalars)
         ) and status.precedence < Status.HOLDING.precedence:
@@ -515,7 +517,7 @@ class ForceController(OperatorCalls):
             step,
             status=status,
             reason="; ".join(filter(None, (self._why(why), step.reason))),
-            cause=self._cause(why, status, step.cause),
+            cause=self._cause(why, status, cause),
         )
 
     def _cause(self, why: int, status: Status, cause: Cause | None) -> Cause | None:
@@ -554,7 +556,8 @@ class ForceController(OperatorCalls):
         if why == BY_FRICTION:
             used, arm = m.friction_used, self.cell.arm_names[int(m.why_arm)]
             return f"{100.0 * used:.0f} % of the friction at the palm of arm {arm}"
-        return f"{self._most()} (slower from {self.options.slow_from:g} N on)"
+        rises = "" if m.size > m.force_slows else "; the rate rises"
+        return f"{self._most()} (slower from {self.options.slow_from:g} N on){rises}"
 
     def _fault(self) -> str:
         m = self._scalars

@@ -6,6 +6,7 @@ import copy
 from typing import Any
 
 import numpy as np
+import pinocchio as pin
 import pytest
 
 from coopqp import Cause, ForceController, HoldPath, InvalidInputError, QPController, Status, inverse_kinematics
@@ -105,6 +106,23 @@ def test_stages_are_told_one_after_another_with_their_causes() -> None:
     assert step.cause is None
 
 
+def test_an_object_off_its_path_waits_for_its_arms_before_it_is_led_back() -> None:
+    """PAUSED until it moves, with its distance in the reason; a simulation would end a run that stands OFF_PATH."""
+    pose = LIFT.path.pose(0.0) * pin.SE3(pin.exp3(np.deg2rad([0.0, 0.0, 0.3])), np.zeros(3))
+    felt = Felt(made())
+    felt.q = inverse_kinematics(LIFT.cell, LIFT.grasp, pose, START)
+    with pytest.warns(StartWarning, match="off its path"):
+        felt.controller.reset(felt.q)
+    step, waited = felt.go(1), 0
+    while step.rate == 0.0:
+        assert (step.status, step.cause in (Cause.SENSOR, Cause.LIMIT)) == (Status.PAUSED, True)
+        assert step.reason.endswith("off its path") or "off its path; " in step.reason
+        step, waited = felt.go(1), waited + 1
+    assert waited > 50
+    assert step.status is Status.OFF_PATH
+    assert felt.go(300).status is Status.TRACKING
+
+
 @pytest.mark.parametrize("missing", ["q_measured", "wrenches"])
 def test_what_is_missing_for_the_comparison_is_told_after_five_steps_more(missing: str) -> None:
     controller, told = made(silent_time=9.0), -1
@@ -132,10 +150,11 @@ def test_an_internal_force_slows_the_object_and_holds_it_no_more_when_it_is_gone
     assert "slower" not in felt.go(25, 15.0).reason
     step = felt.go(25, 40.0)
     assert 0.0 < step.rate < 0.8
-    assert "(slower from 20 N on)" in step.reason
+    assert step.reason.endswith("(slower from 20 N on)")
     assert "40 N at the grasp of arm " in step.reason
     assert step.status is Status.SLOWED
     assert step.cause is Cause.LIMIT
+    assert copy.deepcopy(felt).go(25, 15.0).reason.endswith("(slower from 20 N on); the rate rises")
     np.testing.assert_allclose(np.linalg.norm(felt.controller.internal[:2, :3], axis=1), 40.0, rtol=0.02)
     felt.controller.pause()
     step = felt.go(40, 40.0)

@@ -247,7 +247,7 @@ def _wait_at_rest(m: Any, dt: float) -> None:
     m.since = 0.0 if m.size > m.pressed_below else m.since + dt
     if m.since > m.wait and m.size < m.move_below:
         m.stage, m.since = MOVING, 0.0
-        if not m.has_palms and m.stiffer > SOFTEST:  # the pads of palms yield, and such servos do not answer
+        if not m.has_palms and m.stiffer > SOFTEST:  # pads of palms yield; the softest servos do not answer at all
             m.force_cap = min(m.force_cap, CAREFUL_START / math.sqrt(max(m.stiffer, 1.0 / m.stiffer)))
 
 
