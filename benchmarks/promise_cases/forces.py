@@ -151,6 +151,30 @@ def disturbed(quick: bool) -> Iterator[Promise]:
         yield Promise(f"{case}: largest force", max(run.peak for run in runs), 30.0, "N")
 
 
+def random_lift(number: int, *, alike: bool) -> Run:
+    """A lift with servos, a mass, a duration and a base off at random; lags of 0 to 20 ms, one for all or each its own."""
+    rng, arms = np.random.default_rng(900 + number), ("master", "slave_1", "slave_2")
+    duration, mass = rng.uniform(1.0, 3.0), rng.uniform(5.0, 20.0)
+    softer, lag = float(np.exp(rng.uniform(np.log(0.3), np.log(10.0)))), rng.uniform(0.0, 0.02)
+    lags = {arm: float(lag if alike else rng.uniform(0.0, 0.02)) for arm in arms}
+    way, turn = (v / np.linalg.norm(v) for v in rng.normal(size=(2, 3)))
+    base = {str(rng.choice(arms)): pin.SE3(pin.exp3(np.deg2rad(0.1) * turn), 1e-3 * way)}
+    return lift(duration, mass=mass, softer=softer, lag=lags, base_offset=base, wrench_latency=0.01)
+
+
+def random_lifts(quick: bool) -> Iterator[Promise]:
+    """The same at random; what arms do that lag differently is stated, not promised."""
+    number = 2 if quick else 60
+    runs = [random_lift(i, alike=True) for i in range(number)]
+    case = f"{number} random lifts of 1 to 3 s, such servos, lags and bases"
+    yield Promise(f"{case}: steps with a false word", sum(run.false_words + run.contacts for run in runs), 0.0, "")
+    yield Promise(f"{case}: largest force", max(run.peak for run in runs), 30.0, "N")
+    runs = [random_lift(i, alike=False) for i in range(number)]
+    case = f"{number} random lifts, each arm its own lag, no promise"
+    yield Promise(f"{case}: with a false word", sum(run.false_words > 0 for run in runs), number, "")
+    yield Promise(f"{case}: over 30 N", sum(run.peak > 30.0 for run in runs), number, "")
+
+
 def starts(quick: bool) -> Iterator[Promise]:
     """A base that is off, from the first command on."""
     for grips, bound in (("where they are", 12.0), ("grasp", 30.0)):
@@ -244,5 +268,5 @@ def stalls_untold(quick: bool) -> Iterator[Promise]:
 
 def promises(quick: bool) -> Iterator[Promise]:
     """The promises of this module; ``quick`` for a part of the cases."""
-    for part in (lifts, disturbed, starts, stalls, stalls_untold):
+    for part in (lifts, disturbed, random_lifts, starts, stalls, stalls_untold):
         yield from part(quick)
