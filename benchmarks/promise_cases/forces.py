@@ -152,7 +152,7 @@ def disturbed(quick: bool) -> Iterator[Promise]:
 
 
 def random_lift(number: int, *, alike: bool) -> Run:
-    """A lift with servos, a mass, a duration and a base off at random; lags of 0 to 20 ms, one for all or each its own."""
+    """A lift with random servos, mass, duration, lags of 0 to 20 ms, one for all or each its own, and a base off."""
     rng, arms = np.random.default_rng(900 + number), ("master", "slave_1", "slave_2")
     duration, mass = rng.uniform(1.0, 3.0), rng.uniform(5.0, 20.0)
     softer, lag = float(np.exp(rng.uniform(np.log(0.3), np.log(10.0)))), rng.uniform(0.0, 0.02)
