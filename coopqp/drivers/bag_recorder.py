@@ -50,10 +50,10 @@ class BagRecorder:
         self._n = len(joint_names)
         self._closed: tuple[int, str] | None = None
         self._ring = RowRing(1 + 2 * self._n, _SLOTS)
-        settings = {"ring": self._ring.name, "joints": list(joint_names), "folder": str(self.folder)}
+        settings = {"ring": self._ring.handle, "joints": list(joint_names), "folder": str(self.folder)}
         self.process = subprocess.Popen(
             [sys.executable, "-m", "coopqp.drivers.bag_recorder", json.dumps(settings)],
-            stdout=subprocess.PIPE, text=True, start_new_session=True,
+            stdout=subprocess.PIPE, text=True, start_new_session=True, pass_fds=[self._ring.handle],
         )  # fmt: skip
         assert self.process.stdout is not None
         said = self.process.stdout.readline().strip()
@@ -118,7 +118,7 @@ def main(settings: dict[str, Any]) -> None:
     from rosbags.rosbag2 import StoragePlugin, Writer
 
     parent, joints = os.getppid(), settings["joints"]
-    ring = RowRing(1 + 2 * len(joints), _SLOTS, name=settings["ring"])
+    ring = RowRing(1 + 2 * len(joints), _SLOTS, handle=settings["ring"])
     written, error = 0, ""
     try:
         with Writer(settings["folder"], version=9, storage_plugin=StoragePlugin.MCAP) as writer:

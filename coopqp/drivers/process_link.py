@@ -1,4 +1,4 @@
-"""The link between a driver and its robot's process, over the loopback network.
+"""The link between a driver and its robot's process, over a pair of sockets that nobody else can reach.
 
 A robot's own library may block, start threads or end the program when its robot is gone: it runs in a process of its
 own, and the loop sees a robot that is silent.
@@ -10,8 +10,6 @@ import abc
 import contextlib
 import json
 import os
-import select
-import socket
 import subprocess
 import sys
 import time
@@ -19,6 +17,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any, Literal, final
 
 from coopqp.drivers.driver import Command, Condition, DriverError, RobotState
+from coopqp.drivers.packet_pair import PacketEnd
 from coopqp.drivers.packets import ERROR, pack_command, pack_order, unpack_state
 
 #: A robot stops when its process has got no command for this time, after the first one [s].
@@ -32,16 +31,15 @@ class ProcessLink:
     """A process that is a robot, or speaks to one, and the socket to it.
 
     Args:
-        module: what the process runs; it gets the settings as JSON, with the key ``port``.
+        module: what the process runs; it gets the settings as JSON, with the number of its end of the link as ``link``.
         settings: must be JSON.
         joints: number of the robot's joints.
     """
 
     def __init__(self, module: str, settings: Mapping[str, Any], joints: int) -> None:
         self._module, self._settings, self._joints = module, settings, joints
-        self._link: socket.socket | None = None
+        self._link: PacketEnd | None = None
         self._process: subprocess.Popen[bytes] | None = None
-        self._robot: tuple[str, int] | None = None
 
     @property
     def runs(self) -> bool:
@@ -54,36 +52,40 @@ class ProcessLink:
         Raises:
             DriverError: the process says why not, or does not start.
         """
-        self._link = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
-        self._link.bind(("127.0.0.1", 0))
-        self._link.setblocking(False)
-        settings = json.dumps({**self._settings, "silence": _SILENCE, "port": self._link.getsockname()[1]})
+        self._link, theirs = PacketEnd.pair()
+        settings = json.dumps({**self._settings, "silence": _SILENCE, "link": theirs.fileno()})
         # It does nothing that a threaded BLAS would help with.
         environment = {**os.environ, "OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
         # A session of its own: Ctrl-C in a terminal reaches the loop alone, which brakes all arms together.
         self._process = subprocess.Popen(
-            [sys.executable, "-m", self._module, settings], env=environment, start_new_session=True
-        )
+            [sys.executable, "-m", self._module, settings], env=environment, start_new_session=True,
+            pass_fds=[theirs.fileno()],
+        )  # fmt: skip
+        theirs.close()
         until = time.monotonic() + longest
         ended = False  # asked ahead of the link: what it said before it ended is there
-        while not select.select([self._link], [], [], _ASKED_EVERY)[0]:
+        while not self._link.waits(_ASKED_EVERY):
             if ended or time.monotonic() > until:
-                self.close()
-                raise DriverError("its process does not start. Look at what it printed.")
+                break
             ended = self._process.poll() is not None
-        packet, self._robot = self._link.recvfrom(65536, socket.MSG_PEEK)
+        try:
+            packet = self._link.first()
+        except OSError:  # nothing has come
+            packet = b""
+        if not packet:
+            self.close()
+            raise DriverError("its process does not start. Look at what it printed.")
         if packet[:1] == ERROR:
             self.close()
             raise DriverError(packet[1:].decode())
 
     def newest(self) -> RobotState | None:
         """The newest state that has arrived."""
-        link, newest = self._link, None
-        if link is None:
+        newest = None
+        if self._link is None:
             return None
-        with contextlib.suppress(OSError):  # nothing more has come
-            while True:
-                packet, self._robot = link.recvfrom(65536)
+        with contextlib.suppress(EOFError):  # it has ended: that is seen by its silence
+            for packet in self._link.packets():
                 state = unpack_state(packet, self._joints)
                 if state is not None and (newest is None or state.stamp > newest.stamp):
                     newest = state
@@ -91,9 +93,8 @@ class ProcessLink:
 
     def tell(self, packet: bytes) -> None:
         """Send a packet to the process."""
-        if self._link is not None and self._robot is not None:
-            with contextlib.suppress(OSError):  # it is gone: that is seen by its silence
-                self._link.sendto(packet, self._robot)
+        if self._link is not None:
+            self._link.send(packet)
 
     def kill(self) -> None:
         """End the process as a loss of power would."""

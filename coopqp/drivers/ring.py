@@ -1,7 +1,11 @@
-"""Rings in shared memory: one process writes rows or objects and waits for nobody, others read and count losses."""
+"""Rings in shared memory: one process writes rows or objects and waits for nobody, others read and count losses.
+
+The memory is a file without a name: only a process that its maker starts gets it, and nothing is left of a killed run.
+"""
 
 from __future__ import annotations
 
+import os
 import pickle
 import tempfile
 from pathlib import Path
@@ -18,30 +22,38 @@ _HEAD = 2
 
 @final
 class RowRing:
-    """A ring of rows in shared memory. Its maker writes; who attaches to its name reads.
+    """A ring of rows in shared memory. Its maker writes; who gets it reads.
+
+    A process of ``multiprocessing`` gets it among its arguments. Another child gets its ``handle`` by ``pass_fds``.
 
     Args:
         width: numbers in a row.
         slots: rows that are kept.
-        name: of a ring that another process has made; None to make one.
+        handle: of a ring that another process has made; None to make one.
 
     Attributes:
-        name: by which another process attaches to it.
+        handle: number of its file in this process.
         lost: rows that were written over before they were read.
     """
 
-    def __init__(self, width: int, slots: int, *, name: str | None = None) -> None:
+    def __init__(self, width: int, slots: int, *, handle: int | None = None) -> None:
         self.width, self.slots = as_count(width, "RowRing: width"), as_count(slots, "RowRing: slots")
-        self._made = name is None
-        if name is None:
-            with tempfile.NamedTemporaryFile(prefix="coopqp_ring_", dir=_folder(), delete=False) as file:
-                file.truncate(8 * (_HEAD + self.width * self.slots))
-                name = file.name
-        self.name = name
-        self._head = np.memmap(name, np.int64, "r+", shape=(_HEAD,))
-        self._rows = np.memmap(name, float, "r+", offset=8 * _HEAD, shape=(self.slots, self.width))
+        if handle is None:
+            self._file = tempfile.TemporaryFile(dir=_folder(), buffering=0)  # noqa: SIM115  # closed by close()
+            self._file.truncate(8 * (_HEAD + self.width * self.slots))
+        else:
+            os.set_inheritable(handle, False)
+            self._file = open(handle, "r+b", buffering=0)  # noqa: SIM115, PTH123
+        self.handle = self._file.fileno()
+        self._head = np.memmap(self._file, np.int64, "r+", shape=(_HEAD,))
+        self._rows = np.memmap(self._file, float, "r+", offset=8 * _HEAD, shape=(self.slots, self.width))
         self._next = 0
         self.lost = 0
+
+    def __reduce__(self) -> Any:
+        from multiprocessing.reduction import DupFd  # late: it imports much
+
+        return _passed, (DupFd(self.handle), self.width, self.slots)
 
     @property
     def written(self) -> int:
@@ -77,27 +89,26 @@ class RowRing:
         return rows[kept - first :]
 
     def close(self) -> None:
-        """Its maker takes the name away; the memory is given back with the last process that uses it."""
-        if self._made:
-            Path(self.name).unlink(missing_ok=True)
+        """Close its file; the memory is given back with the last process that uses it."""
+        self._file.close()
+
+
+def _passed(file: Any, width: int, slots: int) -> RowRing:
+    """The ring in a process that got it."""
+    return RowRing(width, slots, handle=file.detach())
 
 
 @final
 class ObjectRing:
-    """A ring of objects in shared memory: its maker tells them, a reader takes the newest.
+    """A ring of objects in shared memory: its maker tells them, a process that gets it takes the newest.
 
     Args:
         size: largest pickled object [bytes].
         slots: objects that are kept.
-        name: of a ring that another process has made; None to make one.
-
-    Attributes:
-        name: by which another process attaches to it.
     """
 
-    def __init__(self, *, size: int = 65_536, slots: int = 8, name: str | None = None) -> None:
-        self._ring = RowRing(1 + -(-size // 8), slots, name=name)
-        self.name = self._ring.name
+    def __init__(self, *, size: int = 65_536, slots: int = 8) -> None:
+        self._ring = RowRing(1 + -(-size // 8), slots)
 
     @property
     def ended(self) -> bool:

@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-import contextlib
 import os
-import select
-import socket
 import threading
 import time
 from typing import Any, Protocol
 
 from coopqp.drivers.driver import Condition, RobotState
+from coopqp.drivers.packet_pair import PacketEnd
 from coopqp.drivers.packets import COMMAND, ORDER, pack_error, pack_state, unpack_command, unpack_order
 from coopqp.drivers.stamped import StampedCommands
 from coopqp.drivers.timing import ClockOffset
@@ -61,20 +59,19 @@ def serve(robot: HostedRobot, settings: dict[str, Any]) -> None:
 
     Args:
         robot: the robot.
-        settings: ``port`` of the driver, and ``silence``: the robot is stopped when no command has come for this time,
-            after the first one [s].
+        settings: number of the process's end of its ``link``, and ``silence``: the robot is stopped when no command
+            has come for this time, after the first one [s].
     """
-    link = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
-    link.bind(("127.0.0.1", 0))
-    link.setblocking(False)
-    driver, parent = ("127.0.0.1", settings["port"]), os.getppid()
+    link, parent = PacketEnd.inherited(settings["link"]), os.getppid()
     try:
         robot.connect()
     except CoopqpError as error:
-        link.sendto(pack_error(str(error)), driver)
+        link.send(pack_error(str(error)))
         return
     try:
-        _serve(robot, link, driver, parent, settings["silence"])
+        _serve(robot, link, parent, settings["silence"])
+    except EOFError:  # the driver has closed the link
+        pass
     finally:
         # The robot's library may wait for minutes for a robot that is gone, and have threads that do not end.
         stopping = threading.Thread(target=robot.stop, daemon=True)
@@ -83,9 +80,7 @@ def serve(robot: HostedRobot, settings: dict[str, Any]) -> None:
         os._exit(0)
 
 
-def _serve(
-    robot: HostedRobot, link: socket.socket, driver: tuple[str, int], parent: int, longest_silence: float
-) -> None:
+def _serve(robot: HostedRobot, link: PacketEnd, parent: int, longest_silence: float) -> None:
     clock, way, heard = ClockOffset(), None, None
     stopped = False
     while os.getppid() == parent:
@@ -95,13 +90,8 @@ def _serve(
             clock.take(state.stamp, now)
             if way is None:
                 way = StampedCommands(state.q if state.target is None else state.target)
-            with contextlib.suppress(OSError):
-                link.sendto(pack_state(state), driver)
-        while select.select([link], [], [], 0.0)[0]:
-            try:
-                packet = link.recv(65536)
-            except OSError:  # the driver's socket is closed
-                return
+            link.send(pack_state(state))
+        for packet in link.packets():
             if packet[:1] == COMMAND and way is not None:
                 heard = now
                 at, q = unpack_command(packet)

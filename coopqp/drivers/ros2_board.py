@@ -91,10 +91,10 @@ class Ros2Board:
         self._loop, self.targets = loop, 0
         self._due, self._heard = -math.inf, -math.inf
         self._ring = RowRing(_WIDTH, _SLOTS)
-        settings = {**asdict(o), "ring": self._ring.name, "name": name}
+        settings = {**asdict(o), "ring": self._ring.handle, "name": name}
         self._process = subprocess.Popen(
             [sys.executable, "-m", "coopqp.drivers.ros2_board", json.dumps(settings)],
-            stdout=subprocess.PIPE, text=True, start_new_session=True,
+            stdout=subprocess.PIPE, text=True, start_new_session=True, pass_fds=[self._ring.handle],
         )  # fmt: skip
         said = self._first_line()
         if said != "ready":
@@ -227,7 +227,7 @@ def _serve(ring: RowRing, board: _Board, parent: int) -> None:
 
 def main(settings: dict[str, Any]) -> None:
     """Be the process."""
-    ring = RowRing(_WIDTH, _SLOTS, name=settings.pop("ring"))
+    ring = RowRing(_WIDTH, _SLOTS, handle=settings.pop("ring"))
     board = _Board(settings.pop("name"), Ros2BoardOptions(**settings))
     print("ready", flush=True)
     _serve(ring, board, os.getppid())

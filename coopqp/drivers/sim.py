@@ -1,4 +1,4 @@
-"""The driver ``sim``: a simulated robot in a process of its own, over the loopback network."""
+"""The driver ``sim``: a simulated robot in a process of its own."""
 
 from __future__ import annotations
 

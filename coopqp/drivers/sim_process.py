@@ -8,8 +8,6 @@ from __future__ import annotations
 import heapq
 import json
 import os
-import select
-import socket
 import sys
 import time
 from typing import Any
@@ -17,6 +15,7 @@ from typing import Any
 import numpy as np
 
 from coopqp.drivers.driver import Condition, RobotState
+from coopqp.drivers.packet_pair import PacketEnd
 from coopqp.drivers.packets import COMMAND, ORDER, pack_state, unpack_command, unpack_order
 from coopqp.drivers.simulated import ServoModel
 
@@ -37,10 +36,7 @@ def _obey(servo: ServoModel, order: dict[str, Any]) -> None:
 def serve(settings: dict[str, Any]) -> None:
     """Be the robot until its driver is gone."""
     rng = np.random.default_rng(settings["seed"])
-    link = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
-    link.bind(("127.0.0.1", 0))
-    link.setblocking(False)
-    driver = ("127.0.0.1", settings["port"])
+    link = PacketEnd.inherited(settings["link"])
     began, period, parent = time.monotonic(), settings["period"], os.getppid()
     servo = ServoModel(np.array(settings["q"], dtype=float), lag=settings["lag"], delay=settings["delay"])
     # What is on its way: (due, number, packet, to the driver).
@@ -58,18 +54,17 @@ def serve(settings: dict[str, Any]) -> None:
     while True:
         now = time.monotonic() - began
         due = min(next_state, under_way[0][0] if under_way else next_state)
-        if due > now and select.select([link], [], [], due - now)[0]:
-            while True:
-                try:
-                    packet = link.recv(65536)
-                except OSError:
-                    break
-                carry(packet, time.monotonic() - began, out=False)
+        if due > now and link.waits(due - now):
+            try:
+                for packet in link.packets():
+                    carry(packet, time.monotonic() - began, out=False)
+            except EOFError:
+                return
         now = time.monotonic() - began
         while under_way and under_way[0][0] <= now:
             _, _, packet, out = heapq.heappop(under_way)
             if out:
-                link.sendto(packet, driver)
+                link.send(packet)
             elif packet[:1] == COMMAND:
                 at, q = unpack_command(packet)
                 servo.push(at - settings["clock_offset"], q)

@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+import os
+import pickle
 import resource
 import signal
 import subprocess
 import threading
+from multiprocessing import resource_sharer
+from multiprocessing.reduction import ForkingPickler
 
 import numpy as np
 import pytest
@@ -25,7 +29,7 @@ def _take(recorder, number, begin=0):
 
 def test_a_ring_gives_all_rows_in_order_and_counts_those_that_were_written_over():
     ring = RowRing(3, 8)
-    reader = RowRing(3, 8, name=ring.name)
+    reader = RowRing(3, 8, handle=os.dup(ring.handle))
 
     def push(begin, end):
         for i in range(begin, end):
@@ -50,9 +54,15 @@ def test_a_ring_gives_all_rows_in_order_and_counts_those_that_were_written_over(
         ring.close()
 
 
+def test_a_ring_has_no_name_and_is_gone_with_its_processes():
+    ring = RowRing(3, 8)
+    assert os.fstat(ring.handle).st_nlink == 0
+    ring.close()
+
+
 def test_a_ring_of_objects_gives_the_newest():
     ring = ObjectRing(size=200, slots=4)
-    reader = ObjectRing(name=ring.name, size=200, slots=4)
+    reader = pickle.loads(ForkingPickler.dumps(ring))  # as a process of multiprocessing gets it
     try:
         assert reader.newest() is None
         ring.tell({"q": [1.0, 2.0]})
@@ -69,6 +79,7 @@ def test_a_ring_of_objects_gives_the_newest():
     finally:
         reader.close()
         ring.close()
+        resource_sharer.stop()
     ring.tell(10)  # left out, and no error
     ring.close()
 
@@ -76,7 +87,7 @@ def test_a_ring_of_objects_gives_the_newest():
 @pytest.mark.slow
 def test_a_reader_beside_a_writer_sees_whole_rows_and_misses_none_without_counting_it():
     ring, number = RowRing(64, 16), 20_000
-    reader = RowRing(64, 16, name=ring.name)
+    reader = RowRing(64, 16, handle=os.dup(ring.handle))
 
     def write():
         for i in range(number):

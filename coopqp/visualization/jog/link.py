@@ -71,7 +71,7 @@ class PageLink:
         self._link, theirs = context.Pipe()
         self._process = context.Process(
             target=serve_page,
-            args=(theirs, self._ring.name, recording, port, sticks, run.controller.override),
+            args=(theirs, self._ring, recording, port, sticks, run.controller.override),
             daemon=True,
         )
         try:
@@ -163,11 +163,12 @@ class PageLink:
         self._words, self._words_until = words, time.monotonic() + _SHOWN
 
 
-def serve_page(link: Connection, name: str, recording: Recording, port: int, sticks: bool, override: float) -> None:
-    """Serve the page until the ring of that name ends, or the run's process: the whole of its own process."""
+def serve_page(
+    link: Connection, ring: ObjectRing, recording: Recording, port: int, sticks: bool, override: float
+) -> None:
+    """Serve the page until the ring ends, or the run's process: the whole of its own process."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # the run ends it
-    parent, ring = os.getppid(), ObjectRing(name=name)
-    lock = threading.Lock()
+    parent, lock = os.getppid(), threading.Lock()
 
     def tell(name: str, *values: Any, **named: Any) -> None:
         with lock, contextlib.suppress(OSError, ValueError):
