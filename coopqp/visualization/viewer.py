@@ -1,7 +1,7 @@
 """Runs in a browser through viser: live with play, pause and scrub, or as one offline page.
 
 Needs the extra ``viewer``. Nothing is sent to other machines: by default the live viewer listens on this machine only,
-it refuses requests of foreign pages, and the page contains all its data.
+it refuses requests of foreign pages and programs, and the page contains all its data.
 """
 
 from __future__ import annotations
@@ -66,30 +66,30 @@ def require_viser() -> Any:
     return needed("viser", "viewer", "viser")
 
 
-def _serve(viser: Any, host: str, port: int, script: OwnScript | None = None) -> Any:
-    """Start a server of viser without its printed banner. It refuses requests of foreign pages."""
+def _serve(viser: Any, host: str, port: int, script: OwnScript | None = None) -> tuple[Any, str]:
+    """Start a server of viser without its printed banner; return it and its address. It refuses foreign requests."""
     server = None
     try:
-        with guarded_servers(host, script), contextlib.redirect_stdout(io.StringIO()):
+        with guarded_servers(host, script) as key, contextlib.redirect_stdout(io.StringIO()):
             server = viser.ViserServer(host=host, port=port, verbose=False)
     except CoopqpError:
         stop_server(server)
         raise
-    return server
+    return server, f"http://{host}:{server.get_port()}/{key}"
 
 
 @contextlib.contextmanager
 def offline() -> Iterator[Any]:
     """A server whose scene becomes a page."""
-    server = _serve(require_viser(), "127.0.0.1", 0)
+    server, _ = _serve(require_viser(), "127.0.0.1", 0)
     try:
         yield server
     finally:
         stop_server(server)
 
 
-def open_server(host: str, port: int, script: OwnScript | None = None) -> Any:
-    """A server of viser, or a named error; :func:`stop_server` ends it."""
+def open_server(host: str, port: int, script: OwnScript | None = None) -> tuple[Any, str]:
+    """A server of viser and its address, or a named error; :func:`stop_server` ends it."""
     viser = require_viser()
     if isinstance(port, bool) or not isinstance(port, int) or not 0 <= port < 65536:
         raise InvalidInputError(f"port is {port!r}", "LiveViewer", "Give a number from 0 (any) to 65535.")
@@ -206,7 +206,7 @@ class LiveViewer:
         sticks: draw the arms as sticks instead of their shapes.
 
     Attributes:
-        url: address for the browser.
+        url: address for the browser. It has a key, without which the server answers nobody.
 
     Raises:
         SceneError, MissingExtraError: as in :func:`export_html`.
@@ -220,13 +220,12 @@ class LiveViewer:
 
     def _open(self, show: Callable[[], None], *, host: str, port: int, sticks: bool) -> None:
         self._sticks = sticks
-        self._server = open_server(host, port)
+        self._server, self.url = open_server(host, port)
         try:
             show()
         except BaseException:
             stop_server(self._server)
             raise
-        self.url = f"http://{host}:{self._server.get_port()}"
 
     def _show_run(self, recording: Recording) -> None:
         self.stage = Stage(self._server.scene, recording, sticks=self._sticks)

@@ -53,12 +53,27 @@ TESTS = {
     "It refuses requests with a foreign `Host` or `Origin`.": (
         "tests/visualization/test_viewer.py::test_foreign_pages_get_nothing",
     ),
+    "Its address has a key, which is new for each run, and without which it answers no program.": (
+        "tests/visualization/test_viewer.py::test_the_page_is_for_those_who_know_its_key",
+        "tests/visualization/test_viewer.py::test_the_run_is_sent_to_its_own_page_only",
+    ),
+    "No page may show it in a frame.": ("tests/visualization/test_viewer.py::test_foreign_pages_get_nothing",),
     "The operator's page (`coopqp jog`) does so, too.": (
         "tests/visualization/test_jog_page.py::test_foreign_pages_get_neither_script_nor_socket",
     ),
     "It takes commands from the leading page alone.": (
         "tests/visualization/test_jog_page.py::test_keys_lead_from_the_leading_page_alone",
         "tests/browser/test_jog_page.py::test_an_operator_leads_the_object",
+    ),
+    "A driver and its robot's process speak over sockets that have neither port nor name.": (
+        "tests/drivers/test_sim.py::test_no_other_process_can_reach_a_robot_or_its_driver",
+    ),
+    "Other processes of a run share memory that has no name.": (
+        "tests/drivers/test_bag_recorder.py::test_a_ring_has_no_name_and_is_gone_with_its_processes",
+    ),
+    "No other program can send or listen there, and a killed run leaves nothing behind.": (
+        "tests/drivers/test_sim.py::test_no_other_process_can_reach_a_robot_or_its_driver",
+        "tests/drivers/test_bag_recorder.py::test_a_ring_has_no_name_and_is_gone_with_its_processes",
     ),
     "A report and an exported page load nothing from elsewhere.": (
         "tests/project/test_security.py::test_pages_name_nothing_elsewhere_to_be_loaded",
@@ -76,6 +91,7 @@ TESTS = {
 #: Sentences that promise nothing that a test could show, by their beginnings.
 SAID = (
     "`tests/project/test_security.py`", "A program is trusted", "The address of a Dask scheduler", "Rows and results",
+    "A ROS 2 domain is as trusted", "Keep it to this machine",
     "coopqp is no safety controller", "Stopping a robot", "Please report", "Give the file", "You get an answer",
     "The newest release",
 )  # fmt: skip

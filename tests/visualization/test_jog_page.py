@@ -184,16 +184,20 @@ def test_a_silent_page_repeats_no_target(
 
 
 def test_foreign_pages_get_neither_script_nor_socket(page: JogPage) -> None:
-    for path, found in (("/coopqp.js", b"requestAnimationFrame"), ("/", b'<script src="/coopqp.js"></script></head>')):
+    for path, found in (("/coopqp.js", b"requestAnimationFrame"), ("/", b'/coopqp.js"></script></head>')):
         with urllib.request.urlopen(page.url + path, timeout=10) as answer:
             assert found in answer.read()
         foreign = urllib.request.Request(page.url + path, headers={"Origin": "http://example.com"})
         with pytest.raises(urllib.error.HTTPError, match="403"):
             urllib.request.urlopen(foreign, timeout=10)
+    own_page, _, key = page.url.rpartition("/")
     socket = page.url.replace("http", "ws") + "/coopqp"
-    with pytest.raises(InvalidStatus, match="403"):
-        connect(socket, origin="http://example.com")  # type: ignore[arg-type]
-    with connect(socket, origin=page.url) as connection:  # type: ignore[arg-type]
+    for address, origin in (
+        (socket, "http://example.com"), (socket.replace(key + "/", ""), own_page), (socket.replace(key, "x"), None),
+    ):  # fmt: skip
+        with pytest.raises(InvalidStatus, match="403"):
+            connect(address, origin=origin)  # type: ignore[arg-type]
+    with connect(socket, origin=own_page) as connection:  # type: ignore[arg-type]
         connection.send("x" * 5000)
         connection.send("{}")
 
@@ -201,7 +205,7 @@ def test_foreign_pages_get_neither_script_nor_socket(page: JogPage) -> None:
 def test_a_page_without_a_head_is_refused() -> None:
     script = OwnScript("", lambda connection: None)  # type: ignore[arg-type,return-value]
     with pytest.raises(Exception, match="no head"):
-        script.into(SimpleNamespace(headers={}, body=b"<html>"))
+        script.into(SimpleNamespace(headers={}, body=b"<html>"), "key")
 
 
 # -- in a process of its own ---------------------------------------------------------------------------------------

@@ -11,6 +11,7 @@ from dataclasses import replace
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
+from urllib.parse import urlsplit
 
 import numpy as np
 import pinocchio as pin
@@ -300,21 +301,25 @@ def test_it_listens_on_this_machine_alone(live: LiveViewer) -> None:
     assert live.url.startswith("http://127.0.0.1:")
 
 
-def _answer(live: LiveViewer, **headers: str) -> int:
-    """Status of a request for the page, with other headers than a browser's."""
-    address = live.url.removeprefix("http://")
-    connection = http.client.HTTPConnection(address, timeout=10)
-    connection.putrequest("GET", "/", skip_host=True)
-    for name, value in {"Host": address, **headers}.items():
+def _answer(live: LiveViewer, path: str | None = None, **headers: str) -> int:
+    """Status of a request for the page, with another address or other headers than a browser's."""
+    address = urlsplit(live.url)
+    connection = http.client.HTTPConnection(address.netloc, timeout=10)
+    connection.putrequest("GET", address.path if path is None else path, skip_host=True)
+    for name, value in {"Host": address.netloc, **headers}.items():
         connection.putheader(name, value)
     connection.endheaders()
     with contextlib.closing(connection):
-        return connection.getresponse().status
+        answer = connection.getresponse()
+        # Shown in a frame, a click on another page could be led to a button of this one.
+        assert answer.headers["Content-Security-Policy"] == "frame-ancestors 'none'"
+        assert answer.headers["X-Frame-Options"] == "DENY"
+        return answer.status
 
 
 def test_foreign_pages_get_nothing(live: LiveViewer) -> None:
     """Pages of other addresses, and names that others point to this machine: neither the page nor the run."""
-    port = live.url.rpartition(":")[2]
+    port = urlsplit(live.url).port
     assert _answer(live) == 200
     assert _answer(live, Host=f"localhost:{port}", Origin=f"http://localhost:{port}") == 200
     foreign = (
@@ -330,16 +335,31 @@ def test_foreign_pages_get_nothing(live: LiveViewer) -> None:
     assert {_answer(live, Host=host) for host in hosts} == {403}
 
 
+def test_the_page_is_for_those_who_know_its_key(live: LiveViewer, run: Recording) -> None:
+    """Another program of this machine does not know it."""
+    key = urlsplit(live.url).path
+    assert len(key) > 20
+    for path in (f"{key}/", f"{key}?darkMode", f"{key}/?darkMode"):
+        assert _answer(live, path) == 200
+    for path in ("/", "/index.html", key[:-1], key + "0", key.upper() + "/", f"/?{key[1:]}", f"/%2e{key}", f"/x{key}/"):
+        assert _answer(live, path) == 403, path
+    with LiveViewer(run, port=0) as another:
+        assert urlsplit(another.url).path != key
+
+
 def test_the_run_is_sent_to_its_own_page_only(live: LiveViewer) -> None:
     from websockets.exceptions import InvalidStatus
     from websockets.sync import client
 
-    address = live.url.replace("http://", "ws://")
-    with client.connect(address, origin=live.url, subprotocols=[f"viser-v{version('viser')}"]) as own:
+    address, (own_page, _, _) = live.url.replace("http://", "ws://"), live.url.rpartition("/")
+    with client.connect(address, origin=own_page, subprotocols=[f"viser-v{version('viser')}"]) as own:
         assert own.recv(timeout=10)
     for origin in ("http://evil.example", "null"):
         with pytest.raises(InvalidStatus, match="403"):
             client.connect(address, origin=origin)
+    for origin in (own_page, None):
+        with pytest.raises(InvalidStatus, match="403"):
+            client.connect(address.rpartition("/")[0], origin=origin)
 
 
 def test_it_plays_and_starts_again_after_a_rest(live: LiveViewer) -> None:

@@ -15,7 +15,7 @@
     (element?.tagName === "INPUT" && !["range", "checkbox", "button"].includes(element.type));
 
   function connect() {
-    socket = new WebSocket(location.origin.replace(/^http/, "ws") + "/coopqp");
+    socket = new WebSocket(location.href.split(/[?#]/)[0].replace(/^http/, "ws").replace(/\/$/, "") + "/coopqp");
     socket.onclose = () => setTimeout(connect, 500);
   }
 

@@ -46,7 +46,7 @@ class PageLink:
         sticks: draw the arms as sticks instead of their shapes.
 
     Attributes:
-        url: address for the browser.
+        url: address for the browser. It has a key, without which the page's server answers nobody.
         delays: from when the page's process had a call until the controller had it [s].
         shown, told: how often the cell was drawn, and how often it was to be drawn.
 

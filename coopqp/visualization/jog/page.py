@@ -50,7 +50,7 @@ class JogPage:
         override: where the slider begins.
 
     Attributes:
-        url: address for the browser.
+        url: address for the browser. It has a key, without which the server answers nobody.
         override: as it was asked for last.
 
     Raises:
@@ -66,7 +66,7 @@ class JogPage:
         self._lead_key, self._heard = "", -math.inf
         self._text_due, self._said = -math.inf, ""
         script = OwnScript(Path(__file__).with_name("keys.js").read_text(encoding="utf-8"), self._hear)
-        self._server = open_server("127.0.0.1", port, script)
+        self._server, self.url = open_server("127.0.0.1", port, script)
         try:
             self.stage = Stage(self._server.scene, recording, sticks=sticks)
             self.pose = self.stage.place(recording.q[0], ())
@@ -81,7 +81,6 @@ class JogPage:
         except BaseException:
             stop_server(self._server)
             raise
-        self.url = f"http://127.0.0.1:{self._server.get_port()}"
 
     def close(self) -> None:
         """Stop serving."""
