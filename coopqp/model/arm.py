@@ -16,7 +16,8 @@ import pinocchio as pin
 
 from coopqp.checks import ArrayLike, as_vector, require
 from coopqp.errors import InvalidInputError, ModelError, UnknownNameError, has_controls, shown
-from coopqp.model.description import check_nesting, check_urdf, description_file, mesh_folders
+from coopqp.model.description import check_nesting, description_file, mesh_folders, read_urdf
+from coopqp.model.followers import Follower, followers_locked, urdf_followers
 from coopqp.model.joint_limits import JointLimits, model_limits
 from coopqp.model.links import joint_axes
 from coopqp.spatial import Placement, as_placement
@@ -79,7 +80,9 @@ class Arm:
             package_dirs: folders in which ``package://`` mesh paths are resolved, before those that are found: the
                 folders above the file, ``ROS_PACKAGE_PATH`` and ``AMENT_PREFIX_PATH``.
             geometry: also load the visual and collision shapes.
-            locked_joints: joints to lock, with their positions [rad or m], e.g. gripper fingers.
+            locked_joints: joints to lock, with their positions [rad or m], e.g. gripper fingers. A joint that mimics
+                another stands where that one takes it. Without a word here both are locked at zero, or at the nearest
+                limit, if they move no tool.
             velocity_limits, acceleration_limits, lower_limits, upper_limits: replace the limits of the model; a scalar
                 or one number per remaining joint. URDF has no acceleration limits: they are infinite unless
                 given here.
@@ -89,37 +92,9 @@ class Arm:
             UnknownNameError: no such tool frame or locked joint.
             InvalidInputError: bad limits or placement.
         """
-        _check_locked(name, locked_joints)
-        source = description_file(path, name)
-        text = check_urdf(source, name)
-        try:
-            mimics = mimic_joints(pin.buildModelFromUrdf(str(source), True))  # True: keep mimic joints
-            model = pin.buildModelFromUrdf(str(source))
-        except (ValueError, RuntimeError) as error:
-            raise ModelError(f"arm '{name}': {source} is not a readable URDF ({_cause(error)})") from error
-        free = [joint for joint in mimics if joint not in (locked_joints or {})]
-        if free:
-            lock = ", ".join(f"'{joint}': 0.0" for joint in free)
-            more = f", and so {'does' if len(free) == 2 else 'do'} {len(free) - 1} more" if len(free) > 1 else ""
-            raise ModelError(
-                f"arm '{name}': joint '{free[0]}' mimics another{more}. Lock {'them' if more else 'it'}: "
-                f"locked_joints={{{lock}}}."
-            )
-        shapes: dict[str, pin.GeometryModel | None] = {"visual": None, "collision": None}
-        if geometry:
-            kinds = {"visual": pin.GeometryType.VISUAL, "collision": pin.GeometryType.COLLISION}
-            dirs = mesh_folders(text, source, package_dirs)
-            for key, kind in kinds.items():
-                try:
-                    shapes[key] = pin.buildGeomFromUrdf(model, str(source), kind, package_dirs=dirs)
-                except (ValueError, RuntimeError) as error:
-                    raise ModelError(
-                        f"arm '{name}': the {key} geometry of {source} cannot be read ({_cause(error)}). "
-                        "Give package_dirs, or geometry=False to do without."
-                    ) from error
-        return Arm._build(
-            name, model, tool_frame, T_world_base, locked_joints, shapes, str(source),
-            velocity_limits, acceleration_limits, lower_limits, upper_limits,
+        return urdf_arm(
+            name, path, (tool_frame,), T_world_base, package_dirs, geometry, locked_joints,
+            (velocity_limits, acceleration_limits, lower_limits, upper_limits),
         )  # fmt: skip
 
     @staticmethod
@@ -150,9 +125,9 @@ class Arm:
                 shapes["collision"] = pin.buildGeomFromMJCF(model, str(source), pin.GeometryType.COLLISION)
         except (ValueError, RuntimeError, IndexError) as error:  # IndexError: Pinocchio 3.8 for a file without bodies
             raise ModelError(f"arm '{name}': {source} is not a readable MJCF ({_cause(error)})") from error
-        return Arm._build(
-            name, model, tool_frame, T_world_base, locked_joints, shapes, str(source),
-            velocity_limits, acceleration_limits, lower_limits, upper_limits,
+        return built_arm(
+            name, model, (tool_frame,), T_world_base, locked_joints, shapes, str(source),
+            (velocity_limits, acceleration_limits, lower_limits, upper_limits),
         )  # fmt: skip
 
     @staticmethod
@@ -176,42 +151,10 @@ class Arm:
             "visual": None if visual is None else visual.copy(),
             "collision": None if collision is None else collision.copy(),
         }
-        return Arm._build(
-            name, pin.Model(model), tool_frame, T_world_base, locked_joints, shapes, "pinocchio.Model",
-            velocity_limits, acceleration_limits, lower_limits, upper_limits,
+        return built_arm(
+            name, pin.Model(model), (tool_frame,), T_world_base, locked_joints, shapes, "pinocchio.Model",
+            (velocity_limits, acceleration_limits, lower_limits, upper_limits),
         )  # fmt: skip
-
-    @staticmethod
-    def _build(
-        name: str,
-        model: pin.Model,
-        tool_frame: str,
-        T_world_base: Placement | None,
-        locked_joints: Mapping[str, float] | None,
-        shapes: dict[str, pin.GeometryModel | None],
-        source: str,
-        velocity: Any,
-        acceleration: Any,
-        lower: Any,
-        upper: Any,
-    ) -> Arm:
-        _check_name(name)
-        _check_locked(name, locked_joints)
-        base = pin.SE3.Identity() if T_world_base is None else as_placement(T_world_base, f"arm '{name}': T_world_base")
-        mimics = mimic_joints(model)
-        if mimics:
-            raise ModelError(
-                f"arm '{name}': joint '{mimics[0]}' mimics another. Replace it in the model, or read its URDF with "
-                "Arm.from_urdf, which can lock it."
-            )
-        _separate_frames(model)
-        if locked_joints:
-            model, shapes = _lock(name, model, shapes, locked_joints)
-        _check_joints(name, model)
-        _separate_frames(model)
-        _check_tool(name, model, tool_frame, source)
-        limits = model_limits(name, model, velocity, acceleration, lower, upper)
-        return Arm(name, model, tool_frame, base, limits, shapes["visual"], shapes["collision"], source)
 
     def placed(self, T_world_base: Placement, *, name: str | None = None) -> Arm:
         """Return a copy with another base placement and, if given, another name."""
@@ -237,6 +180,80 @@ class Arm:
         return replace(self, limits=self.limits.replace(**changes))
 
 
+def urdf_arm(
+    name: str,
+    path: str | Path,
+    tools: Sequence[str],
+    T_world_base: Placement | None,
+    package_dirs: Sequence[str | Path],
+    geometry: bool,
+    locked_joints: Mapping[str, float] | None,
+    limits: tuple[Any, Any, Any, Any],
+    robot: str = "",
+) -> Arm:
+    """:meth:`Arm.from_urdf` for the first of ``tools``, all of which are moved.
+
+    ``limits`` are those of velocity, acceleration, lower and upper, as :func:`model_limits` takes them; by the joints'
+    names for a ``robot``.
+    """
+    _check_locked(name, locked_joints)
+    source = description_file(path, name)
+    root = read_urdf(source, name)
+    followers = urdf_followers(root, f"arm '{name}'")
+    try:
+        model = pin.buildModelFromUrdf(str(source))
+    except (ValueError, RuntimeError) as error:
+        raise ModelError(f"arm '{name}': {source} is not a readable URDF ({_cause(error)})") from error
+    shapes: dict[str, pin.GeometryModel | None] = {"visual": None, "collision": None}
+    if geometry:
+        kinds = {"visual": pin.GeometryType.VISUAL, "collision": pin.GeometryType.COLLISION}
+        dirs = mesh_folders(root, source, package_dirs)
+        for key, kind in kinds.items():
+            try:
+                shapes[key] = pin.buildGeomFromUrdf(model, str(source), kind, package_dirs=dirs)
+            except (ValueError, RuntimeError) as error:
+                raise ModelError(
+                    f"arm '{name}': the {key} geometry of {source} cannot be read ({_cause(error)}). "
+                    "Give package_dirs, or geometry=False to do without."
+                ) from error
+    return built_arm(name, model, tools, T_world_base, locked_joints, shapes, str(source), limits, followers, robot)
+
+
+def built_arm(
+    name: str,
+    model: pin.Model,
+    tools: Sequence[str],
+    T_world_base: Placement | None,
+    locked_joints: Mapping[str, float] | None,
+    shapes: dict[str, pin.GeometryModel | None],
+    source: str,
+    limits: tuple[Any, Any, Any, Any],
+    followers: Mapping[str, Follower] | None = None,
+    robot: str = "",
+) -> Arm:
+    """An arm with the first of ``tools``, from a model that nobody else has."""
+    _check_name(name)
+    _check_locked(name, locked_joints)
+    base = pin.SE3.Identity() if T_world_base is None else as_placement(T_world_base, f"arm '{name}': T_world_base")
+    mimics = [n for n, joint in zip(model.names, model.joints, strict=True) if "Mimic" in joint.shortname()]
+    if mimics:
+        raise ModelError(
+            f"arm '{name}': joint '{mimics[0]}' mimics another. Build the model without mimic joints and lock it where "
+            "it stands, or read its URDF with Arm.from_urdf, which does so."
+        )
+    _separate_frames(model)
+    locked = _positions(name, model, locked_joints or {})
+    if followers:
+        locked = followers_locked(f"arm '{name}'", model, followers, tools, locked)
+    if locked:
+        model, shapes = _lock(model, shapes, locked)
+    _check_joints(name, model)
+    _separate_frames(model)
+    _check_tool(name, model, tools[0], source)
+    own = model_limits(f"robot '{robot}'" if robot else f"arm '{name}'", model, *limits, by_name=bool(robot))
+    return Arm(name, model, tools[0], base, own, shapes["visual"], shapes["collision"], source, robot)
+
+
 def _check_name(name: Any) -> None:
     if not isinstance(name, str) or not name or "/" in name:
         raise InvalidInputError(f"{shown(name)} is not a name", "Arm.name", "Give a non-empty name without '/'.")
@@ -258,19 +275,27 @@ def _check_locked(name: str, locked: Any) -> None:
         require(locked, Mapping, f"arm '{name}': locked_joints", "Give a dictionary of joints and their positions.")
 
 
-def _lock(
-    name: str, model: pin.Model, shapes: dict[str, pin.GeometryModel | None], locked: Mapping[str, float]
-) -> tuple[pin.Model, dict[str, pin.GeometryModel | None]]:
-    q = pin.neutral(model)
+def _positions(name: str, model: pin.Model, locked: Mapping[str, float]) -> dict[str, float]:
+    """Positions of locked joints, all of which are there and have one degree of freedom."""
+    out = {}
     for joint, position in locked.items():
         if not model.existJointName(joint):
             raise UnknownNameError("joint", joint, list(model.names)[1:], f"arm '{name}', locked_joints")
         j = model.joints[model.getJointId(joint)]
-        at = as_vector([position], 1, f"arm '{name}': locked_joints['{joint}']")[0]
+        out[joint] = float(as_vector([position], 1, f"arm '{name}': locked_joints['{joint}']")[0])
         if j.nv != 1:
             raise ModelError(
                 f"arm '{name}': joint '{joint}' has {j.nv} degrees of freedom; joints with one can be locked."
             )
+    return out
+
+
+def _lock(
+    model: pin.Model, shapes: dict[str, pin.GeometryModel | None], locked: Mapping[str, float]
+) -> tuple[pin.Model, dict[str, pin.GeometryModel | None]]:
+    q = pin.neutral(model)
+    for joint, at in locked.items():
+        j = model.joints[model.getJointId(joint)]
         # a continuous joint is stored as (cos, sin)
         q[j.idx_q : j.idx_q + j.nq] = [at] if j.nq == 1 else [np.cos(at), np.sin(at)]
     ids = [model.getJointId(joint) for joint in locked]
@@ -314,11 +339,6 @@ def _check_joints(name: str, model: pin.Model) -> None:
 def _cause(error: Exception) -> str:
     """Message of a parser's error, without the file and line of the parser's source."""
     return " ".join(str(error).rpartition("message:")[2].split()).rstrip(".")
-
-
-def mimic_joints(model: pin.Model) -> list[str]:
-    """Joints of a model, read with them, that mimic others."""
-    return [n for n, joint in zip(model.names, model.joints, strict=True) if "Mimic" in joint.shortname()]
 
 
 def _separate_frames(model: pin.Model) -> None:

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import contextlib
 import os
-import re
 from collections.abc import Sequence
 from pathlib import Path
+from xml.etree import ElementTree
 from xml.parsers import expat
 
 from coopqp.errors import ModelError
@@ -17,6 +17,8 @@ MAX_DESCRIPTION_BYTES = 20_000_000
 MAX_NESTING = 500
 #: Largest number of folders above a description that are searched for its meshes.
 MAX_FOLDERS_ABOVE = 6
+#: Elements that stand for others.
+_XACRO = {f"xacro:{kind}" for kind in ("include", "macro", "if", "unless", "call")}
 
 
 def description_file(path: str | Path, arm: str) -> Path:
@@ -39,36 +41,39 @@ def description_file(path: str | Path, arm: str) -> Path:
     return file
 
 
-def check_urdf(file: Path, arm: str) -> str:
-    """Check that a file is XML with the root ``robot`` and no xacro. Returns its text.
+def read_urdf(file: Path, arm: str) -> ElementTree.Element:
+    """The root of a file that is XML with the root ``robot``, and no xacro.
+
+    Elements that URDF does not know are left alone, as by all readers of URDF.
 
     Raises:
         ModelError: it is not; for a xacro the message has the command that expands it.
     """
-    data = file.read_bytes()
-    text = data.decode("utf-8", errors="replace")
-    opened: list[str] = []
-
-    def begin(tag: str, attributes: dict[str, str]) -> None:
-        if tag.startswith("xacro:") or file.suffix == ".xacro":
-            plain = file.name.removesuffix(".xacro").removesuffix(".urdf") + ".urdf"
-            raise ModelError(
-                f"arm '{arm}': {file} is a xacro, not yet a URDF. Expand it (pip install xacro): "
-                f"xacro {file.name} > {plain}"
-            )
-        if not opened and (tag != "robot" or not attributes.get("name")):
-            raise ModelError(
-                f"arm '{arm}': {file} is not a readable URDF (its root is no <robot name=…>). Check the path."
-            )
-        opened.append(tag)
-
-    parser = expat.ParserCreate()
-    parser.StartElementHandler = begin
+    builder, parser = ElementTree.TreeBuilder(), expat.ParserCreate()  # which leaves prefixes such as xacro: alone
+    parser.StartElementHandler, parser.EndElementHandler = builder.start, builder.end
     try:
-        parser.Parse(data, True)
+        parser.Parse(file.read_bytes(), True)
+        root = builder.close()
     except (expat.ExpatError, LookupError, ValueError) as error:  # also an encoding that Python does not know
         raise ModelError(f"arm '{arm}': {file} is not a readable URDF ({error}). Check the path.") from error
-    return text
+    if file.suffix == ".xacro" or _is_xacro(root):
+        plain = file.name.removesuffix(".xacro").removesuffix(".urdf") + ".urdf"
+        plain = plain if plain != file.name else f"expanded_{plain}"  # a shell empties the file that it writes first
+        raise ModelError(
+            f"arm '{arm}': {file} is a xacro, not yet a URDF. Expand it (pip install xacro): "
+            f"xacro {file.name} > {plain}"
+        )
+    if root.tag != "robot" or not root.get("name"):
+        raise ModelError(f"arm '{arm}': {file} is not a readable URDF (its root is no <robot name=…>). Check the path.")
+    return root
+
+
+def _is_xacro(root: ElementTree.Element) -> bool:
+    """Something has to be expanded before a URDF is there. The call of a macro that is not there is left over."""
+    return any(
+        element.tag in _XACRO or any("${" in value or "$(" in value for value in element.attrib.values())
+        for element in root.iter()
+    )
 
 
 def check_nesting(file: Path, arm: str) -> None:
@@ -95,18 +100,19 @@ def check_nesting(file: Path, arm: str) -> None:
         parser.Parse(file.read_bytes(), True)
 
 
-def mesh_folders(text: str, file: Path, given: Sequence[str | Path]) -> list[str]:
-    """Folders that resolve the ``package://`` paths of a description: those given, then those found.
+def mesh_folders(root: ElementTree.Element, file: Path, given: Sequence[str | Path]) -> list[str]:
+    """Folders that resolve the mesh paths of a description: those given, those of packages, then the file's own.
 
-    A package is looked for in the folders above the description, in ``ROS_PACKAGE_PATH`` and below
-    ``AMENT_PREFIX_PATH``.
+    A package of a ``package://`` path is looked for in the folders above the description, in ``ROS_PACKAGE_PATH`` and
+    below ``AMENT_PREFIX_PATH``.
     """
     folders = [str(folder) for folder in given]
-    for package in dict.fromkeys(re.findall(r"package://([^/\"'<>\s]+)/", text)):
-        found = find_package(package, file.parent, given)
+    for mesh in root.iter("mesh"):
+        scheme, _, rest = mesh.get("filename", "").strip().partition("package://")
+        found = find_package(rest.partition("/")[0], file.parent, given) if rest and not scheme else None
         if found is not None:
             folders.append(str(found.parent))
-    return list(dict.fromkeys(folders))
+    return list(dict.fromkeys([*folders, str(file.parent.resolve())]))
 
 
 def find_package(name: str, near: Path, given: Sequence[str | Path] = ()) -> Path | None:

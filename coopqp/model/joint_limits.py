@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -68,8 +68,13 @@ class JointLimits:
         return replace(self, **full)
 
 
-def model_limits(name: str, model: pin.Model, velocity: Any, acceleration: Any, lower: Any, upper: Any) -> JointLimits:
-    """Limits of the model of the arm ``name``, or those given in their place: one number, one per joint, or None."""
+def model_limits(
+    where: str, model: pin.Model, velocity: Any, acceleration: Any, lower: Any, upper: Any, *, by_name: bool = False
+) -> JointLimits:
+    """Limits of the model of an arm or robot, ``where`` in messages, or those given in their place.
+
+    Each is None, or one number or one per joint; ``by_name`` one number or numbers by the joints' names.
+    """
     n = model.nv
     joints = list(model.joints)[1:]  # joint 0 is the universe
     continuous = np.array([j.nq != j.nv for j in joints])
@@ -79,8 +84,17 @@ def model_limits(name: str, model: pin.Model, velocity: Any, acceleration: Any, 
     def override(value: Any, default: Array, what: str) -> Array:
         if value is None:
             return default
-        remedy = f"Give one number or {n}: {joint_names}."
-        return one_each(value, n, f"arm '{name}': {what}", finite=False, remedy=remedy)
+        if not by_name:
+            remedy = f"Give one number or {n}: {joint_names}."
+            return one_each(value, n, f"{where}: {what}", finite=False, remedy=remedy)
+        if not isinstance(value, Mapping):
+            return np.full(n, one_each(value, 1, f"{where}: {what}", finite=False)[0])
+        out = default.copy()
+        for joint, own in value.items():
+            if joint not in joint_names:
+                raise UnknownNameError("joint", str(joint), joint_names, f"{where}, {what}")
+            out[joint_names.index(joint)] = one_each(own, 1, f"{where}: {what}['{joint}']", finite=False)[0]
+        return out
 
     low = np.asarray(model.lowerPositionLimit)[index].copy()
     high = np.asarray(model.upperPositionLimit)[index].copy()
@@ -92,7 +106,7 @@ def model_limits(name: str, model: pin.Model, velocity: Any, acceleration: Any, 
     low, high = override(lower, low, "lower_limits"), override(upper, high, "upper_limits")
     speed = override(velocity, speed, "velocity_limits")
     accel = override(acceleration, np.full(n, np.inf), "acceleration_limits")
-    _check_room(low, high, speed, accel, lambda j: f"arm '{name}', joint '{joint_names[j]}'")
+    _check_room(low, high, speed, accel, lambda j: f"{where}, joint '{joint_names[j]}'")
     return JointLimits(low, high, speed, accel)
 
 

@@ -3,16 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, final
+from typing import final
 
-import numpy as np
-
-from coopqp.checks import one_each, require
-from coopqp.errors import InvalidInputError, UnknownNameError
-from coopqp.model.arm import Arm
-from coopqp.model.joint_limits import LIMIT_FIELDS, JointLimits
+from coopqp.checks import require
+from coopqp.errors import InvalidInputError
+from coopqp.model.arm import Arm, urdf_arm
 from coopqp.spatial import Placement
 
 #: A limit of all joints, or limits by the joints' names.
@@ -69,43 +66,14 @@ class Robot:
         require(arms, Mapping, f"{where}: arms", "Give the tool frame of each arm: {'left': …, 'right': …}.")
         if not arms:
             raise InvalidInputError("no arm", where, "Give the tool frame of each arm: {'left': …, 'right': …}.")
-        changes = dict(
-            zip(LIMIT_FIELDS, (lower_limits, upper_limits, velocity_limits, acceleration_limits), strict=True)
+        given = (velocity_limits, acceleration_limits, lower_limits, upper_limits)
+        (arm, _), *others = arms.items()
+        first = urdf_arm(
+            arm, urdf, tuple(arms.values()), T_world_base, package_dirs, geometry, locked_joints, given, robot=name
         )
-        first: Arm | None = None
-        made: list[Arm] = []
-        for arm, tool_frame in arms.items():
-            if first is None:
-                first = Arm.from_urdf(
-                    arm, urdf, tool_frame=tool_frame, T_world_base=T_world_base, package_dirs=package_dirs,
-                    geometry=geometry, locked_joints=locked_joints,
-                )  # fmt: skip
-                first = replace(first, limits=_limits(first, changes, where), robot=name)
-                made.append(first)
-            else:  # the same model, which nobody changes
-                made.append(first.with_tool(tool_frame, name=arm))
+        made = [first, *(first.with_tool(tool, name=other) for other, tool in others)]
         object.__setattr__(self, "name", name)
         object.__setattr__(self, "arms", tuple(made))
 
     def __repr__(self) -> str:
         return f"Robot({self.name}: {', '.join(arm.name for arm in self.arms)})"
-
-
-def _limits(arm: Arm, changes: Mapping[str, Limit | None], where: str) -> JointLimits:
-    """The limits of an arm with those in their place that are given."""
-    names = list(arm.model.names)[1:]
-    full: dict[str, Any] = {}
-    for field, given in changes.items():
-        if given is None:
-            continue
-        values = np.array(getattr(arm.limits, field))
-        if isinstance(given, Mapping):
-            for joint, value in given.items():
-                if joint not in names:
-                    raise UnknownNameError("joint", str(joint), names, f"{where}, {field}_limits")
-                at = f"{where}: {field}_limits['{joint}']"
-                values[names.index(joint)] = one_each(value, 1, at, finite=False)[0]
-        else:
-            values[:] = one_each(given, 1, f"{where}: {field}_limits", finite=False)[0]
-        full[field] = values
-    return arm.limits.replace(**full) if full else arm.limits

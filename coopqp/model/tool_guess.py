@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -10,8 +11,9 @@ import numpy as np
 import pinocchio as pin
 
 from coopqp.errors import ModelError
-from coopqp.model.arm import Arm, mimic_joints
-from coopqp.model.description import check_urdf, description_file
+from coopqp.model.arm import Arm
+from coopqp.model.description import description_file, read_urdf
+from coopqp.model.followers import Follower, urdf_followers
 from coopqp.model.joint_limits import UNLIMITED
 
 #: Names of joints that move fingers.
@@ -28,7 +30,7 @@ class ToolGuess:
 
     Attributes:
         tool_frame: the frame that is to hold the object.
-        locked: joints of fingers with positions for them [rad or m].
+        locked: joints of fingers with positions for them [rad or m], without those that follow them.
         others: frames on the same link of the chain, which may be meant instead.
     """
 
@@ -53,20 +55,20 @@ def guess_tool(file: str | Path, *, tool_frame: str | None = None) -> ToolGuess:
             lists the ends.
     """
     source = description_file(file, Path(file).stem)
-    check_urdf(source, source.stem)
+    root = read_urdf(source, source.stem)
+    followers = urdf_followers(root, str(source))
     try:
-        mimics = set(mimic_joints(pin.buildModelFromUrdf(str(source), True)))
         model = pin.buildModelFromUrdf(str(source))
     except (ValueError, RuntimeError) as error:
         raise ModelError(f"{source} is not a readable URDF ({error}). Check the path.") from error
-    fingers = _fingers(model, mimics)
+    fingers = _fingers(model, set(followers))
     links = [f for f in model.frames if f.type == pin.FrameType.BODY and f.name != "universe"]
     if tool_frame is not None:
         named = [f for f in model.frames if f.name == tool_frame]
         if not named:
             raise ModelError(f"{source} has no frame '{tool_frame}': {', '.join(f.name for f in links)}.")
         moving = {int(j) for j in model.supports[named[0].parentJoint]}
-        return _guess(model, tool_frame, fingers - moving, ())
+        return _guess(model, tool_frame, fingers - moving, (), followers)
     arms = [j for j in range(1, model.njoints) if j not in fingers]
     ends = [j for j in arms if not any(int(child) in arms for child in model.subtrees[j][1:])]
     longest = max((len(model.supports[j]) for j in ends), default=0)
@@ -78,11 +80,15 @@ def guess_tool(file: str | Path, *, tool_frame: str | None = None) -> ToolGuess:
         found = ", ".join(names[j][0] for j in last)
         raise ModelError(f"{source} has several ends: {found}. Say which: {source.name}:{names[last[0]][0]}.")
     first, *others = names[last[0]]
-    return _guess(model, first, fingers, tuple(others))
+    return _guess(model, first, fingers, tuple(others), followers)
 
 
-def _guess(model: pin.Model, frame: str, fingers: set[int], others: tuple[str, ...]) -> ToolGuess:
-    return ToolGuess(tool_frame=frame, locked={model.names[j]: _rest(model, j) for j in sorted(fingers)}, others=others)
+def _guess(
+    model: pin.Model, frame: str, fingers: set[int], others: tuple[str, ...], followers: Mapping[str, Follower]
+) -> ToolGuess:
+    names = {model.names[j]: j for j in sorted(fingers)}  # those that follow one of them stand where it takes them
+    locked = {n: _rest(model, j) for n, j in names.items() if n not in followers or followers[n].leader not in names}
+    return ToolGuess(tool_frame=frame, locked=locked, others=others)
 
 
 def _fingers(model: pin.Model, mimics: set[str]) -> set[int]:

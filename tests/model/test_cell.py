@@ -451,12 +451,11 @@ def test_locks_that_cannot_be() -> None:
         rx90l(locked_joints={f"joint_{i}": 0.0 for i in range(1, 7)})
 
 
-def fingers(*names: str, mimic: bool = True) -> str:
-    """A URDF of one joint and sliding fingers that follow it, or stand by themselves."""
-    follows = '<mimic joint="turn"/>' if mimic else ""
+def fingers(*names: str) -> str:
+    """A URDF of one joint, and sliding fingers."""
     joints = "".join(
         f'<link name="{n}_link"/><joint name="{n}" type="prismatic"><parent link="hand"/><child link="{n}_link"/>'
-        f'<axis xyz="0 0 1"/>{LIMIT}{follows}</joint>'
+        f'<axis xyz="0 0 1"/>{LIMIT}</joint>'
         for n in names
     )
     return (
@@ -465,21 +464,12 @@ def fingers(*names: str, mimic: bool = True) -> str:
     )
 
 
-def test_all_joints_that_mimic_others_are_in_the_remedy(tmp_path: Path) -> None:
+def test_joints_to_lock_are_a_dictionary(tmp_path: Path) -> None:
     file = tmp_path / "hand.urdf"
-    for names, says in (
-        ("a", r"'a' mimics another\. Lock it: locked_joints=\{'a': 0\.0\}"),
-        ("ab", r"'a' mimics another, and so does 1 more\. Lock them: locked_joints=\{'a': 0\.0, 'b': 0\.0\}"),
-        ("abc", r"'a' mimics another, and so do 2 more\. Lock them: locked_joints=\{'a': 0\.0, 'b': 0\.0, 'c': 0\.0\}"),
-    ):
-        file.write_text(fingers(*names))
-        with pytest.raises(ModelError, match=f"^arm 'h': joint {says}"):
-            Arm.from_urdf("h", file, tool_frame="hand")
+    file.write_text(fingers(*"abc"))
     for bad in (3, ["a", "b", "c"], "abc"):
         with pytest.raises(InvalidInputError, match="arm 'h': locked_joints"):
             Arm.from_urdf("h", file, tool_frame="hand", locked_joints=bad)  # type: ignore[arg-type]
-    with pytest.raises(ModelError, match=r"'b' mimics another, and so does 1 more\. Lock them: .*\{'b': 0\.0, 'c'"):
-        Arm.from_urdf("h", file, tool_frame="hand", locked_joints={"a": 0.1})
     arm = Arm.from_urdf("h", file, tool_frame="hand", locked_joints={"a": 0.1, "b": 0.0, "c": -0.1})
     assert list(arm.model.names)[1:] == ["turn"]
 
@@ -497,7 +487,7 @@ def test_all_joints_that_mimic_others_are_in_the_remedy(tmp_path: Path) -> None:
 )
 def test_joints_that_move_no_tool_are_told(names: str, says: str, tmp_path: Path) -> None:
     file = tmp_path / "hand.urdf"
-    file.write_text(fingers(*names, mimic=False))
+    file.write_text(fingers(*names))
     arm = Arm.from_urdf("h", file, tool_frame="hand")
     cell = RobotCell([arm])
     assert cell.standing_note() == says
@@ -555,7 +545,7 @@ def test_models_with_names_or_axes_that_cannot_be_are_refused() -> None:
 
 def test_an_unknown_frame_lists_the_twelve_nearest(tmp_path: Path) -> None:
     file = tmp_path / "hand.urdf"
-    file.write_text(fingers(*(f"finger_{i:02}" for i in range(10)), mimic=False))
+    file.write_text(fingers(*(f"finger_{i:02}" for i in range(10))))
     with pytest.raises(UnknownNameError, match=r"in arm 'h' \(.*hand\.urdf\)") as caught:
         Arm.from_urdf("h", file, tool_frame="finger_03_lin")
     assert len(caught.value.available) == 12
@@ -583,20 +573,6 @@ def test_an_arm_keeps_its_model_with_another_tool_place_or_name() -> None:
     with pytest.raises(InvalidInputError, match="arm 'there': T_world_base"):
         arm.placed(2.0 * np.eye(4), name="there")
     assert repr(arm).startswith("Arm(arm: 6 joints, tool flange, ")
-
-
-def test_a_mimic_joint_is_refused_and_can_be_locked(two_joints: Callable[..., Path]) -> None:
-    file = two_joints(elbow=LIMIT + '<mimic joint="shoulder" multiplier="2" offset="0.1"/>')
-    with pytest.raises(ModelError, match="'elbow' mimics another") as caught:
-        Arm.from_urdf("a", file, tool_frame="tip")
-    assert "locked_joints={'elbow': 0.0}" in str(caught.value)
-    with pytest.raises(ModelError, match="'elbow' mimics another"):
-        Arm.from_urdf("a", file, tool_frame="tip", locked_joints={"shoulder": 0.0})
-    arm = Arm.from_urdf("a", file, tool_frame="tip", locked_joints={"elbow": 0.4})  # the remedy in the message works
-    assert list(arm.model.names)[1:] == ["shoulder"]
-    plain = Arm.from_urdf("a", two_joints(), tool_frame="tip")
-    T, U = tool_alone(arm, np.array([0.7])), tool_alone(plain, np.array([0.7, 0.4]))
-    np.testing.assert_allclose(T.homogeneous, U.homogeneous, rtol=0, atol=1e-15)
 
 
 @pytest.mark.parametrize("locked", [None, {"elbow": 0.0}, {"shoulder": 0.0}])

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 from pathlib import Path
+from xml.etree import ElementTree
 
 import pytest
 
@@ -11,10 +12,10 @@ from coopqp.errors import ModelError
 from coopqp.model.description import (
     MAX_NESTING,
     check_nesting,
-    check_urdf,
     description_file,
     find_package,
     mesh_folders,
+    read_urdf,
 )
 
 
@@ -63,9 +64,12 @@ def test_each_folder_of_meshes_is_listed_once_and_those_given_first(tmp_path: Pa
         "<mesh filename='package://hand/meshes/a.stl'/><mesh filename=\"package://missing/a.stl\"/>"
     )
     file = tmp_path / "arm.urdf"
-    assert mesh_folders(text, file, []) == [str(tmp_path)]
-    assert mesh_folders(text, file, ["/given", tmp_path / "x"]) == ["/given", str(tmp_path / "x"), str(tmp_path)]
-    assert mesh_folders('<mesh filename="a.stl"/>', file, []) == []
+    beside = str(file.parent.resolve())
+    root = ElementTree.fromstring(f"<robot>{text}</robot>")
+    assert mesh_folders(root, file, []) == [str(tmp_path), *([beside] if beside != str(tmp_path) else [])]
+    found = mesh_folders(root, file, ["/given", tmp_path / "x"])
+    assert found[:3] == ["/given", str(tmp_path / "x"), str(tmp_path)]
+    assert mesh_folders(ElementTree.fromstring('<robot><mesh filename="a.stl"/></robot>'), file, []) == [beside]
 
 
 def test_a_xacro_is_refused_with_the_command_that_expands_it(tmp_path: Path) -> None:
@@ -73,25 +77,35 @@ def test_a_xacro_is_refused_with_the_command_that_expands_it(tmp_path: Path) -> 
         ("arm.urdf.xacro", '<robot name="a"/>'),
         ("arm.xacro", '<robot name="a"/>'),
         ("arm.urdf", '<robot name="a"><xacro:macro name="m"/></robot>'),
+        ("arm.urdf", '<robot name="a"><link name="${prefix}b"/></robot>'),
+        ("arm.xml", '<robot name="a"><xacro:include filename="m"/></robot>'),
     ):
         file = tmp_path / name
         file.write_text(text)
-        with pytest.raises(ModelError, match=rf"arm 'left': .*{name} is a xacro.*: xacro {name} > arm\.urdf"):
-            check_urdf(file, "left")
+        to = "expanded_arm.urdf" if name == "arm.urdf" else "arm.xml.urdf" if name == "arm.xml" else "arm.urdf"
+        with pytest.raises(ModelError, match=rf"arm 'left': .*{name} is a xacro.*: xacro {name} > {to}$"):
+            read_urdf(file, "left")  # a shell empties the file that it writes to: never the one that xacro reads
+
+
+def test_the_call_of_a_macro_that_is_left_over_is_skipped(tmp_path: Path) -> None:
+    file = tmp_path / "arm.urdf"
+    for head in ("", ' xmlns:xacro="http://ros.org/wiki/xacro"'):
+        file.write_text(f'<robot name="a"{head}><link name="b"/><xacro:gazebo_colours prefix=""/></robot>')
+        assert read_urdf(file, "left").get("name") == "a"
 
 
 def test_the_root_of_a_urdf_is_a_robot_with_a_name(tmp_path: Path) -> None:
     file = tmp_path / "arm.urdf"
     file.write_text('<robot name="a"><link name="b"/><robot/></robot>')
-    assert check_urdf(file, "left") == file.read_text()
+    assert [element.tag for element in read_urdf(file, "left")] == ["link", "robot"]
     for text in ("<robot/>", '<robot name=""/>', '<model name="a"/>'):
         file.write_text(text)
         with pytest.raises(ModelError, match="its root is no <robot name=…>"):
-            check_urdf(file, "left")
+            read_urdf(file, "left")
     for text in ("", "<robot", '<robot name="a">', '<?xml version="1.0" encoding="odd"?><robot name="a"/>'):
         file.write_text(text)
         with pytest.raises(ModelError, match=r"arm 'left': .*arm\.urdf is not a readable URDF \("):
-            check_urdf(file, "left")
+            read_urdf(file, "left")
 
 
 def test_elements_are_nested_five_hundred_deep_at_most(tmp_path: Path) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pinocchio as pin
@@ -13,6 +14,7 @@ from torsos import held, lift_cell, robot_of, two_arms
 
 from coopqp import Arm, Grasp, InvalidInputError, Robot, RobotCell
 from coopqp.errors import UnknownNameError
+from coopqp.files.cellfile import load_cell_task
 from coopqp.model import CellState, Chain
 from coopqp.model.chain import moving_columns, parts
 from coopqp.scenarios import robot_path
@@ -333,3 +335,44 @@ def test_a_robot_has_a_name_and_arms_by_theirs(tmp_path: Path) -> None:
     for arms in (["left"], None, "left"):
         with pytest.raises(InvalidInputError, match=r"robot 'robot': arms: .*tool frame of each arm"):
             Robot(file, arms)  # type: ignore[arg-type]
+
+
+def test_limits_that_are_given_stand_in_place_of_those_of_a_model(tmp_path: Path) -> None:
+    """Many files say velocity="0" for a speed that nobody knows, and some have an empty range."""
+    file = tmp_path / "odd.urdf"
+    joints = "".join(
+        f'<link name="{s}{i + 1}"/><joint name="{s}_{i}" type="revolute"><parent link="{f"{s}{i}" if i else "base"}"/>'
+        f'<child link="{s}{i + 1}"/><origin xyz="0.1 0 0.2"/><axis xyz="{i % 2} {1 - i % 2} 0"/>'
+        '<limit lower="{low}" upper="{high}" velocity="{speed}" effort="1"/></joint>'
+        for s in "lr"
+        for i in range(6)
+    )
+    text = f'<robot name="odd"><link name="base"/>{joints}</robot>'
+    names = [f"{s}_{i}" for s in "lr" for i in range(6)]
+    tools = {"left": "l6", "right": "r6"}
+    cases: list[tuple[dict[str, int], dict[str, Any]]] = [
+        ({"low": -1, "high": 1, "speed": 0}, {"velocity_limits": 2.0}),
+        ({"low": -1, "high": 1, "speed": 0}, {"velocity_limits": dict.fromkeys(names, 2.0)}),
+        ({"low": 1, "high": 0, "speed": 2}, {"lower_limits": -1.0, "upper_limits": 1.0}),
+    ]
+    for odd, given in cases:
+        file.write_text(text.format(**odd))
+        with pytest.raises(InvalidInputError, match="robot 'robot', joint 'l_0': "):
+            Robot(file, tools)
+        limits = Robot(file, tools, **given).arms[1].limits
+        assert (set(limits.lower), set(limits.upper), set(limits.velocity)) == ({-1.0}, {1.0}, {2.0})
+        cell = (
+            'name = "odd"\n[grasp]\nkind = "tools"\ntools.left = {}\ntools.right = {}\n'
+            '[path]\nkind = "line"\nstart = {}\ndisplacement = { translation_m = [0, 0, 0.1] }\nduration_s = 1\n'
+        )
+        by = "velocity_rad_per_s = 2" if odd["speed"] == 0 else "lower_rad = -1\nupper_rad = 1"
+        arms = "".join(
+            f'[[arms]]\nname = "{n}"\nurdf = "odd.urdf"\ntool_frame = "{t}"\nbase = {{ xyz_m = [0, {y}, 0] }}\n'
+            f'[arms.limits]\n{by}\n' for (n, t), y in zip(tools.items(), (0, 9), strict=True)
+        )  # fmt: skip
+        of = "".join(f'[[arms]]\nname = "{n}"\nof = "r"\ntool_frame = "{t}"\n' for n, t in tools.items())
+        one = f'[[robots]]\nname = "r"\nurdf = "odd.urdf"\nlimits."*" = {{ {", ".join(by.splitlines())} }}\n{of}'
+        for described in (arms, one):
+            (tmp_path / "cell.toml").write_text(cell.replace("[grasp]", described + "[grasp]"))
+            limits = load_cell_task(tmp_path / "cell.toml").cell.limits
+            assert (set(limits.lower), set(limits.upper), set(limits.velocity)) == ({-1.0}, {1.0}, {2.0})

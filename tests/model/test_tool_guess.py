@@ -63,7 +63,7 @@ def test_a_joint_beside_one_that_mimics_it_is_a_finger_and_all_behind_it(file: P
     made = guess_tool(file)
     assert made.tool_frame == "my_tcp"
     assert made.others == ("three",)
-    assert made.locked == {"drive": 0.2, "follower": 0.2, "tip": 0.2}, "zero is outside their limits"
+    assert made.locked == {"drive": 0.2, "tip": 0.2}, "zero is outside their limits; the follower goes with its drive"
 
 
 def test_a_frame_that_is_given_is_kept(file: Path) -> None:

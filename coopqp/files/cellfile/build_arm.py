@@ -12,13 +12,16 @@ import pinocchio as pin
 from coopqp.errors import CoopqpError, InvalidInputError
 from coopqp.files.cellfile.basic import PlacementTable
 from coopqp.files.cellfile.paths import resolve
-from coopqp.files.cellfile.schema import ArmTable, RobotTable
+from coopqp.files.cellfile.schema import ArmTable, LimitsTable, RobotTable
 from coopqp.model.cell import Arm, Robot, RobotCell, slides
-from coopqp.model.description import check_nesting, check_urdf, description_file
+from coopqp.model.description import check_nesting, description_file, read_urdf
 from coopqp.model.joint_limits import LIMIT_FIELDS
 from coopqp.scenarios.arms import robot_arm, robot_file
 from coopqp.scenarios.robots import robot_path
 from coopqp.spatial import Array, as_placement
+
+#: In place of a model's limits, which may be none that a joint could keep: to learn its joints before they are given.
+_NO_LIMITS: dict[str, Any] = {"lower_limits": -np.inf, "upper_limits": np.inf, "velocity_limits": np.inf}
 
 
 def build_placement(table: PlacementTable) -> pin.SE3:
@@ -49,26 +52,31 @@ def build_arm(table: ArmTable, folder: Path) -> Arm:
     """The arm of a table; its files are relative to ``folder``."""
     base, where = build_placement(table.base), f"arm '{table.name}'"
     dirs = [resolve(d, folder, f"{where}: package_dirs") for d in table.package_dirs]
+    common: dict[str, Any] = {"T_world_base": base, "tool_frame": table.tool_frame, "geometry": table.geometry}
     if table.robot is not None:
-        locked = _locked(table, lambda: _urdf(robot_file(str(table.robot)), table.name))
-        arm = robot_arm(
-            table.robot,
-            name=table.name,
-            T_world_base=base,
-            tool_frame=table.tool_frame,
-            geometry=table.geometry,
-            locked_joints=locked,
-        )
+        common["locked_joints"] = _locked(table, lambda: _urdf(robot_file(str(table.robot)), table.name))
+        arm = robot_arm(table.robot, name=table.name, **common)
+        changes = _limits_of(table, arm)
+        try:
+            return arm.with_limits(**changes) if changes else arm
+        except InvalidInputError as error:
+            raise CoopqpError(f"{where}: {error}") from error
+    if table.urdf is not None:
+        file = resolve(table.urdf, folder, f"{where}: urdf", package_dirs=dirs)
+        common |= {"locked_joints": _locked(table, lambda: _urdf(file, table.name)), "package_dirs": dirs}
+        read: Callable[..., Arm] = Arm.from_urdf
     else:
-        common: dict[str, Any] = {"T_world_base": base, "tool_frame": table.tool_frame, "geometry": table.geometry}
-        if table.urdf is not None:
-            file = resolve(table.urdf, folder, f"{where}: urdf", package_dirs=dirs)
-            locked = _locked(table, lambda: _urdf(file, table.name))
-            arm = Arm.from_urdf(table.name, file, package_dirs=dirs, locked_joints=locked, **common)
-        else:
-            file = resolve(str(table.mjcf), folder, f"{where}: mjcf", package_dirs=dirs)
-            locked = _locked(table, lambda: _mjcf(file, table.name))
-            arm = Arm.from_mjcf(table.name, file, locked_joints=locked, **common)
+        file = resolve(str(table.mjcf), folder, f"{where}: mjcf", package_dirs=dirs)
+        common["locked_joints"] = _locked(table, lambda: _mjcf(file, table.name))
+        read = Arm.from_mjcf
+    if table.limits == LimitsTable():
+        return read(table.name, file, **common)
+    changes = _limits_of(table, read(table.name, file, **{**common, "geometry": False}, **_NO_LIMITS))
+    return read(table.name, file, **common, **{f"{field}_limits": values for field, values in changes.items()})
+
+
+def _limits_of(table: ArmTable, arm: Arm) -> dict[str, Array]:
+    """The limits that an arm's table gives, one per joint of the arm."""
     alone = RobotCell([arm])
     sliding = slides(alone)
     changes: dict[str, Array] = {}
@@ -80,10 +88,7 @@ def build_arm(table: ArmTable, folder: Path) -> Arm:
                 if np.isfinite(value).all():
                     _check_kinds(value, alone, where, f"m{per.replace('_per_', '/').replace('s2', 's²')}")
                 changes[name] = in_radians(value, sliding, where, degrees=unit == "deg")
-    try:
-        return arm.with_limits(**changes) if changes else arm
-    except InvalidInputError as error:
-        raise CoopqpError(f"arm '{table.name}': {error}") from error
+    return changes
 
 
 def build_cell(arms: Sequence[ArmTable], robots: Sequence[RobotTable], folder: Path) -> RobotCell:
@@ -108,10 +113,9 @@ def _robot(table: RobotTable, tools: dict[str, str], folder: Path) -> Robot:
         "name": table.name, "T_world_base": build_placement(table.base), "package_dirs": dirs,
         "geometry": table.geometry, "locked_joints": locked,
     }  # fmt: skip
-    robot = Robot(file, tools, **common)
     if not table.limits:
-        return robot
-    alone = RobotCell([next(iter(robot.arms))])
+        return Robot(file, tools, **common)
+    alone = RobotCell([Robot(file, tools, **{**common, "geometry": False}, **_NO_LIMITS).arms[0]])
     kinds = {name.partition("/")[2]: slide for name, slide in zip(alone.joint_names, slides(alone), strict=True)}
     changes: dict[str, dict[str, float]] = {field: {} for field in LIMIT_FIELDS}
     for joint in sorted(table.limits, key=lambda name: name != "*"):
@@ -175,7 +179,7 @@ def _check_kinds(value: Any, alone: RobotCell, where: str, unit: str) -> None:
 
 
 def _urdf(file: Path, arm: str) -> pin.Model:
-    check_urdf(description_file(file, arm), arm)
+    read_urdf(description_file(file, arm), arm)
     return pin.buildModelFromUrdf(str(file))
 
 
