@@ -16,10 +16,11 @@ import pinocchio as pin
 
 from coopqp.checks import ArrayLike, as_vector, require
 from coopqp.errors import InvalidInputError, ModelError, UnknownNameError, has_controls, shown
-from coopqp.model.description import check_nesting, description_file, mesh_folders, read_urdf
-from coopqp.model.followers import Follower, followers_locked, urdf_followers
+from coopqp.model.description import description_file, mesh_folders, read_urdf
+from coopqp.model.followers import Follower, followers_locked, refuse_loops, urdf_followers
 from coopqp.model.joint_limits import JointLimits, model_limits
 from coopqp.model.links import joint_axes
+from coopqp.model.mjcf import read_mjcf
 from coopqp.spatial import Placement, as_placement
 
 
@@ -111,23 +112,20 @@ class Arm:
         lower_limits: ArrayLike | None = None,
         upper_limits: ArrayLike | None = None,
     ) -> Arm:
-        """Build an arm from an MJCF file. Arguments and errors as in :meth:`from_urdf`.
+        """Build an arm from an MJCF file, as MuJoCo reads it. Arguments and errors as in :meth:`from_urdf`.
 
-        MJCF has no velocity limits, so ``velocity_limits`` must be given.
+        The model's root is MuJoCo's world. Planes and height fields, which have no end, are no shapes of the arm. Files
+        of meshes are needed also without ``geometry``. MJCF has no velocity limits: give ``velocity_limits``.
+
+        Raises:
+            MissingExtraError: the extra ``mujoco`` is not installed.
         """
         source = description_file(path, name)
-        check_nesting(source, name)
-        try:
-            model = pin.buildModelFromMJCF(str(source))
-            shapes: dict[str, pin.GeometryModel | None] = {"visual": None, "collision": None}
-            if geometry:
-                shapes["visual"] = pin.buildGeomFromMJCF(model, str(source), pin.GeometryType.VISUAL)
-                shapes["collision"] = pin.buildGeomFromMJCF(model, str(source), pin.GeometryType.COLLISION)
-        except (ValueError, RuntimeError, IndexError) as error:  # IndexError: Pinocchio 3.8 for a file without bodies
-            raise ModelError(f"arm '{name}': {source} is not a readable MJCF ({_cause(error)})") from error
+        read = read_mjcf(source, name)
+        shapes = {"visual": read.visual if geometry else None, "collision": read.collision if geometry else None}
         return built_arm(
-            name, model, (tool_frame,), T_world_base, locked_joints, shapes, str(source),
-            (velocity_limits, acceleration_limits, lower_limits, upper_limits),
+            name, read.model, (tool_frame,), T_world_base, locked_joints, shapes, str(source),
+            (velocity_limits, acceleration_limits, lower_limits, upper_limits), read.followers, loops=read.loops,
         )  # fmt: skip
 
     @staticmethod
@@ -230,6 +228,7 @@ def built_arm(
     limits: tuple[Any, Any, Any, Any],
     followers: Mapping[str, Follower] | None = None,
     robot: str = "",
+    loops: Mapping[str, frozenset[str]] | None = None,
 ) -> Arm:
     """An arm with the first of ``tools``, from a model that nobody else has."""
     _check_name(name)
@@ -245,6 +244,8 @@ def built_arm(
     locked = _positions(name, model, locked_joints or {})
     if followers:
         locked = followers_locked(f"arm '{name}'", model, followers, tools, locked)
+    if loops:
+        refuse_loops(f"arm '{name}'", model, loops, tools, locked)
     if locked:
         model, shapes = _lock(model, shapes, locked)
     _check_joints(name, model)

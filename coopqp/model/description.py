@@ -76,13 +76,17 @@ def _is_xacro(root: ElementTree.Element) -> bool:
     )
 
 
-def check_nesting(file: Path, arm: str) -> None:
-    """Raise ModelError if elements are nested too deep: Pinocchio's MJCF reader is recursive and would crash."""
+def check_mjcf(file: Path, arm: str) -> None:
+    """Raise ModelError if a file is none for MuJoCo: its root is another, elements are nested too deep, or entities."""
     depth = 0
 
     def begin(tag: str, attributes: object) -> None:
         nonlocal depth
         depth += 1
+        if depth == 1 and tag != "mujoco":  # MuJoCo reads a URDF, too, in another way than Arm.from_urdf
+            raise ModelError(
+                f"arm '{arm}': {file} is not a readable MJCF (its root is <{tag[:60]}>, not <mujoco>). Check the path."
+            )
         if depth > MAX_NESTING:
             raise ModelError(f"arm '{arm}': the elements of {file} are nested more than {MAX_NESTING} deep.")
 

@@ -24,7 +24,7 @@ class Follower:
     """A joint that follows another.
 
     Attributes:
-        leader: the joint that it follows, which may follow another itself.
+        leader: the joint that it follows, which may follow another itself; empty for one that is held where it is.
         coefficients: its position is ``Σ_k coefficients[k] · (x − leader_zero)^k`` of the leader's x [rad or m].
         leader_zero: see above [rad or m].
     """
@@ -75,17 +75,40 @@ def followers_locked(
     Raises:
         ModelError: a follower or its leader moves a tool, is locked where it cannot be, or follows no joint.
     """
-    moving = {
+    held = {name: follower.at(0.0) for name, follower in followers.items() if not follower.leader}
+    given = {**{name: at for name, at in held.items() if model.existJointName(name)}, **given}
+    moving, out = _moving(model, tools), dict(given)
+    for name in followers:
+        if model.existJointName(name):
+            _lock_follower(where, model, followers, name, moving, given, out)
+    return out
+
+
+def refuse_loops(
+    where: str,
+    model: pin.Model,
+    loops: Mapping[str, frozenset[str]],
+    tools: Iterable[str],
+    locked: Mapping[str, float],
+) -> None:
+    """Raise ModelError for joints that depend on each other and move a tool."""
+    moving = _moving(model, tools).difference(locked)
+    for loop, joints in loops.items():
+        if len(joints.difference(locked)) and (held := sorted(joints & moving)):
+            raise ModelError(
+                f"{where}: {loop} holds joint '{held[0]}', which moves the tool; coopqp moves each joint by itself. "
+                f"Lock what it holds ({', '.join(sorted(joints))}), or take it out in a copy of the file."
+            )
+
+
+def _moving(model: pin.Model, tools: Iterable[str]) -> set[str]:
+    """Names of the joints that move tools; tools that are not there are named elsewhere."""
+    return {
         model.names[j]
         for tool in tools
         if isinstance(tool, str) and model.existFrame(tool)
         for j in model.supports[model.frames[model.getFrameId(tool)].parentJoint]
     }
-    out = dict(given)
-    for name in followers:
-        if model.existJointName(name):
-            _lock_follower(where, model, followers, name, moving, given, out)
-    return out
 
 
 def _lock_follower(
@@ -100,6 +123,8 @@ def _lock_follower(
     line = [name]  # it, its leader, the leader's leader, to one that is locked or follows none
     while line[-1] in followers and (len(line) == 1 or line[-1] not in given):
         leader = followers[line[-1]].leader
+        if not leader:
+            break
         if leader in line or not model.existJointName(leader):
             if name in given:
                 return

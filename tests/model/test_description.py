@@ -11,7 +11,7 @@ import pytest
 from coopqp.errors import ModelError
 from coopqp.model.description import (
     MAX_NESTING,
-    check_nesting,
+    check_mjcf,
     description_file,
     find_package,
     mesh_folders,
@@ -112,21 +112,21 @@ def test_elements_are_nested_five_hundred_deep_at_most(tmp_path: Path) -> None:
     file = tmp_path / "arm.xml"
     beside = "<b/>" * 2 * MAX_NESTING  # counts as one
     for depth, fits in ((MAX_NESTING - 1, True), (MAX_NESTING, False)):
-        file.write_text("<b>" * depth + beside + "</b>" * depth)
+        file.write_text(f"<mujoco>{'<b>' * (depth - 1)}{beside}{'</b>' * (depth - 1)}</mujoco>")
         if fits:
-            check_nesting(file, "left")
+            check_mjcf(file, "left")
             continue
         with pytest.raises(ModelError, match=r"arm 'left': the elements of .*arm\.xml are nested more than 500 deep"):
-            check_nesting(file, "left")
+            check_mjcf(file, "left")
 
 
 def test_entities_are_refused(tmp_path: Path) -> None:
     file = tmp_path / "arm.xml"
-    file.write_text('<!DOCTYPE a [<!ENTITY b "c">]><a>&b;</a>')
+    file.write_text('<!DOCTYPE a [<!ENTITY b "c">]><mujoco>&b;</mujoco>')
     with pytest.raises(ModelError, match=r"arm 'left': .* declares XML entities"):
-        check_nesting(file, "left")
+        check_mjcf(file, "left")
     file.write_text("no XML")  # its reader reports that
-    check_nesting(file, "left")
+    check_mjcf(file, "left")
 
 
 def test_a_path_of_a_description_is_a_file(tmp_path: Path) -> None:

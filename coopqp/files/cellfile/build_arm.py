@@ -14,8 +14,9 @@ from coopqp.files.cellfile.basic import PlacementTable
 from coopqp.files.cellfile.paths import resolve
 from coopqp.files.cellfile.schema import ArmTable, LimitsTable, RobotTable
 from coopqp.model.cell import Arm, Robot, RobotCell, slides
-from coopqp.model.description import check_nesting, description_file, read_urdf
+from coopqp.model.description import description_file, read_urdf
 from coopqp.model.joint_limits import LIMIT_FIELDS
+from coopqp.model.mjcf import read_mjcf
 from coopqp.scenarios.arms import robot_arm, robot_file
 from coopqp.scenarios.robots import robot_path
 from coopqp.spatial import Array, as_placement
@@ -184,8 +185,7 @@ def _urdf(file: Path, arm: str) -> pin.Model:
 
 
 def _mjcf(file: Path, arm: str) -> pin.Model:
-    check_nesting(description_file(file, arm), arm)
-    return pin.buildModelFromMJCF(str(file))
+    return read_mjcf(description_file(file, arm), arm).model
 
 
 def _locked(table: ArmTable | RobotTable, model: Callable[[], pin.Model]) -> dict[str, float] | None:
