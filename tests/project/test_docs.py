@@ -19,6 +19,8 @@ from coopqp.native.constants import RECOVERY_SHARE
 
 DOCS = ROOT / "docs"
 EXAMPLES = sorted((DOCS / "examples").glob("[0-9][0-9]_*.py"))
+#: The step of the derivations, which draws nothing.
+THE_STEP = DOCS / "examples" / "the_step.py"
 PAGES = sorted(p for p in DOCS.rglob("*.md") if "_build" not in p.parts)
 #: An example that a page includes, and the output below it.
 SHOWN = re.compile(r"```\{literalinclude\} (\S+\.py)\n.*?^```\n(?:(?!```)[^\n]*\n)*?```text\n(.*?)^```$", re.M | re.S)
@@ -36,6 +38,15 @@ def test_examples_are_numbered_short_and_shown() -> None:
         assert len(source.partition('if "--out"')[0].splitlines()) <= 82, file.name
         assert f"python docs/examples/{file.name}" in source
         assert f"examples/{file.name}" in text
+
+
+@pytest.mark.slow
+def test_the_step_at_its_shortest_is_the_controllers(tmp_path: Path) -> None:
+    assert len(THE_STEP.read_text(encoding="utf-8").splitlines()) <= 150
+    printed = run_apart(THE_STEP, folder=ROOT, printed=tmp_path / "printed.txt")
+    page = (DOCS / "derivations.md").read_text(encoding="utf-8")
+    ((_, shown),) = [found for found in SHOWN.findall(page) if Path(found[0]).name == THE_STEP.name]
+    assert printed == shown
 
 
 def the_papers_errors_are_those_of_the_derivations(printed: str) -> None:
