@@ -415,7 +415,7 @@ class ControlLoop(LoopCalls):
             missing={name: self._missing[name] for name in names},
             lags=dict(zip(names, motion.lag.tolist(), strict=True)),
             commands=periods,
-            guarded=motion.play_out.guarded,
+            guarded=motion.play_out.addition.cut,
             velocity=motion.velocity_share,
             acceleration=motion.acceleration_share,
             apart=largest_apart(self.cell, self.controller.grasp, [] if self._tools_move else self._looks),

@@ -233,6 +233,9 @@ class SharedMotion:
         if wanted < 0.0:  # the way is kept for a while only
             wanted = max(wanted, -(shared.sigma - max(self.way.tail, -1.0) - 1.0) / 0.5, -1.0)
         c = shared.step(wanted)
+        if self._learnt and play_out.rests():
+            play_out.retune(self.joints(self.lag))
+            self._learnt = False
         share = self._options.learning_addition if self._learnt else self._options.addition
         before = self.sent
         self.sent = play_out.step(c, shared.sigma, self.way, self.joints(self.lag), share)
@@ -278,16 +281,13 @@ class SharedMotion:
         return self.way.clock(self.shared.sigma)
 
     def restart(self) -> None:
-        """Begin a new way at the shared clock's point, at rest; learnt lags are taken over by the mixture."""
+        """Begin a new way at the shared clock's point, at rest."""
         x, clock, sigma = self.shared.point.copy(), self.clock(), self.shared.sigma
         self.way.restart(x, clock)
         self.shared.restart()
         self.play_out.parameter -= sigma
         self._past[:, 0] -= sigma
         self.law.restart()
-        if self._learnt:
-            self.play_out.retune(self.joints(self.lag))
-            self._learnt = False
 
 
 def _behind(away: Array, slope: Array, scale: Array, least: float) -> float:

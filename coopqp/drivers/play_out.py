@@ -2,7 +2,8 @@
 
 With c = H(σ), P its first-order low pass of time constant M, and p that of σ: a first-order servo of lag L ≤ M that is
 sent (1 − r) P + r c with r = L/M, which is P + L Ṗ, stands at P. P and c keep the limits, and so does each fixed convex
-mixture of them. A small addition with limits of its own puts the arms at H(p), where the tools agree, in place of P.
+mixture m of them. A small addition A puts the arms at H(p), where the tools agree, in place of P. With a share s of the
+limits for A + s m, what is sent, (1 − s) m + (A + s m), keeps the limits as well.
 """
 
 from __future__ import annotations
@@ -16,39 +17,74 @@ from coopqp.spatial import Array
 
 #: Smallest time constant of the low pass [s].
 LEAST_TIME_CONSTANT = 1e-4
-#: The addition closes a difference within this time where its limits allow it [s].
-_CLOSING_TIME = 0.01
+#: Both time constants of the addition behind its target [s].
+_CLOSING_TIME = 0.02
+#: With this time t a target is out of reach beyond s a t² [s]; and that in which one within reach is taken up [s].
+_REACH, _UPTAKE = 0.02, 1.0
+#: Differences that count as rest, in shares of a h².
+_REST = 1e-3
 
 
 @final
-class Follower:
-    """A vector that follows a target, each entry within its own limits of velocity and acceleration.
+class Addition:
+    """A vector that follows a target within what the mixture leaves of the limits.
+
+    All joints are cut by the same factor: one of them alone, cut to its own limits, would part the tools. Where the
+    target is out of reach, as after each jump of a quick motion's acceleration, the addition fades to 0: a correction
+    that comes late is worse than none. One for lags that the mixture does not know never fades.
 
     Args:
-        velocity, acceleration: limits (n,) [1/s, 1/s²] of the quantity.
-        period: [s].
+        velocity, acceleration: limits of a period (n,): v h and a h² [rad or m].
+        period: h [s].
+
+    Attributes:
+        value: A (n,) [rad or m].
+        cut: in how many periods it was cut to what the limits left.
     """
 
     def __init__(self, velocity: Array, acceleration: Array, period: float) -> None:
-        self._v, self._a, self._h = velocity, acceleration, period
-        self.value, self.speed = np.zeros(len(velocity)), np.zeros(len(velocity))
-        self._target = self.value
+        self._most, self._most_change, self._h = velocity, acceleration, period
+        self.cut = 0
+        self.rest(np.zeros(len(velocity)))
 
-    def step(self, target: Array, share: float) -> Array:
-        """Go on by one period, with a share of the limits. Returns the value (n,)."""
-        h = self._h
-        away = self._target - self.value
-        # The speed from which the rest of the way is enough to stop, beside the target's own speed.
-        room = np.abs(away)
-        braking = share * self._a
-        most = np.minimum(np.sqrt(2.0 * braking * room), room / _CLOSING_TIME)
-        moves = (target - self._target) / h
-        self._target = target
-        wanted = np.clip(moves + np.sign(away) * most, -share * self._v, share * self._v)
-        # A higher share may have left a higher speed.
-        self.speed = self.speed + np.clip(wanted - self.speed, -braking * h, braking * h)
-        self.value = self.value + self.speed * h
+    def rest(self, value: Array) -> None:
+        """Begin again with a value (n,) at rest, while the mixture rests too."""
+        self.value, self._step, self._target = value, np.zeros(len(value)), np.zeros(len(value))
+        self._mixture_step, self._taken = np.zeros(len(value)), 1.0
+
+    def follow(self, target: Array, mixture_step: Array, share: float, *, fades: bool) -> Array:
+        """Go on by one period, with a share of the limits and a step (n,) of the mixture. Returns the value (n,)."""
+        most, most_change = share * self._most, share * self._most_change
+        away = np.abs(self._taken * target - self.value)
+        if fades and (away * self._h**2 > _REACH**2 * most_change).any():
+            self._taken = 0.0
+        else:
+            self._taken = min(self._taken + self._h / _UPTAKE, 1.0) if fades else 1.0
+        moves, self._target = self._taken * (target - self._target), target
+        # Of Ä = (T − A)/τ² + 2 (Ṫ − Ȧ)/τ with the period's end on the right.
+        k = self._h / _CLOSING_TIME
+        wanted = (self._step + k * k * (self._taken * target - self.value) + 2.0 * k * moves) / (1.0 + k) ** 2
+        # The limits are those of A + s m, for its step and for the change of it.
+        own = share * mixture_step
+        high, low = most - own, -most - own
+        wanted = wanted * _factor(wanted, low, high)
+        turn = own - share * self._mixture_step
+        self._mixture_step = mixture_step
+        more, less = most_change - turn, -most_change - turn
+        change = wanted - self._step
+        factor = _factor(change, less, more)
+        self.cut += int(factor < 1.0)
+        change = np.clip(factor * change, np.maximum(less, low - self._step), np.minimum(more, high - self._step))
+        self._step = self._step + change
+        self.value = self.value + self._step
         return self.value
+
+
+def _factor(vector: Array, low: Array, high: Array) -> float:
+    """The largest factor, 1 at most, with which a vector (n,) is between bounds (n,) that have 0 between them."""
+    bound = np.where(vector > 0.0, high, low)
+    over = np.abs(vector) > np.abs(bound)
+    return max(float((bound[over] / vector[over]).min()), 0.0) if over.any() else 1.0
 
 
 @final
@@ -65,19 +101,17 @@ class PlayOut:
         time_constant: M [s].
         parameter: p [s], the low pass of σ.
         rate: ṗ.
-        guarded: in how many periods the sum of mixture and addition had to be cut to the limits.
+        addition: A.
     """
 
     def __init__(
         self, x: Array, *, lag: Array, delay: Array, velocity: Array, acceleration: Array, period: float
     ) -> None:
         self._h = period
-        self._v, self._a = velocity, acceleration
-        self._most, self._most_change = velocity * period, acceleration * period**2
-        self.addition = Follower(velocity, acceleration, period)
+        self._most_change = acceleration * period**2
+        self.addition = Addition(velocity * period, self._most_change, period)
         self._low, self.parameter, self.rate = x.copy(), 0.0, 0.0
-        self._sent = self._sent_before = self._wanted = x.copy()
-        self.guarded = 0
+        self._c = self._last = self._mixture = x.copy()
         wait = float(delay.max(initial=0.0)) - delay
         self._back, self._part = np.floor(wait / period).astype(int), wait / period - np.floor(wait / period)
         self._ring = np.tile(x, (int(self._back.max(initial=0)) + 2, 1))
@@ -93,12 +127,9 @@ class PlayOut:
         # Then σ − p = M ṗ, exactly.
         self._alpha = self._h / (self._h + self.time_constant)
 
-    def restart(self) -> None:
-        """Count σ and p from 0 again, at rest."""
-        self.parameter = 0.0
-
     def mixture(self, c: Array) -> Array:
         """Take the next point c (n,); return the convex mixture of each joint (n,)."""
+        self._last, self._c = self._c, c
         self._low = self._low + self._alpha * (c - self._low)
         value: Array = (1.0 - self._share) * self._low + self._share * c
         return value
@@ -112,30 +143,20 @@ class PlayOut:
             lag: the best known lags (n,) [s]; where they are not those of :meth:`retune` the addition makes up.
             share: of the limits, for the addition.
         """
-        mixture = self.mixture(c)
+        last = self._mixture
+        self._mixture = mixture = self.mixture(c)
         before = self.parameter
         self.parameter += self._alpha * (sigma - before)
         self.rate = (sigma - self.parameter) / self.time_constant
         wanted = spline.value(self.parameter) + lag * (self.rate * spline.slope(self.parameter))
-        sent = mixture + self.addition.step(wanted - mixture, share)
-        return self._delay(self._guard(sent))
+        return self._delay(
+            mixture + self.addition.follow(wanted - mixture, mixture - last, share, fades=bool((lag == self.lag).all()))
+        )
 
-    def _guard(self, wanted: Array) -> Array:
-        """The commands (n,) that keep the limits after the last two and come nearest to what is wanted.
-
-        Going on evenly always keeps them. What is cut off is made up for so that it does not swing.
-        """
-        last = self._sent
-        gap = self._wanted - last
-        making_up = np.sqrt(self._most_change * np.abs(gap))
-        step = wanted - self._wanted + np.clip(gap, -making_up, making_up)
-        self._wanted = wanted
-        even = last - self._sent_before
-        kept = np.clip(step, even - self._most_change, even + self._most_change)
-        kept = np.clip(kept, -self._most, self._most)
-        self.guarded += int(np.abs(kept - step).max(initial=0.0) > 1e-12)
-        self._sent_before, self._sent = last, last + kept
-        return self._sent
+    def rests(self) -> bool:
+        """Whether c rests, and low pass and addition have come to it."""
+        away = np.abs(self._c - self._last) + np.abs(self._c - self._low) + np.abs(self.addition.value)
+        return bool((away <= _REST * self._most_change).all())
 
     def _delay(self, sent: Array) -> Array:
         """Each joint's command of as long ago as it is faster than the slowest (n,)."""

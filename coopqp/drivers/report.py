@@ -32,7 +32,7 @@ class LoopReport:
         missing: periods in which a robot's state was too old, by robot.
         lags: first-order lag of each robot as told or learnt [s].
         commands: number of commands sent to each robot.
-        guarded: periods in which the commands had to be cut to the limits.
+        guarded: periods in which the addition was cut to what the limits left for it.
         velocity, acceleration: largest velocity and acceleration sent, as a share of the limits.
         apart: largest distance between the grasps that was measured, corrected for nothing [m]; NaN without states.
         largest_force: largest force at a grasp that was measured [N]; NaN without sensors.

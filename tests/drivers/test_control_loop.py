@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from marks import slow_but_first
 from robots import drive, joints_of, simulated_robots
 
 from coopqp import InvalidInputError, QPController, SupervisionOptions
@@ -23,7 +24,7 @@ from coopqp.drivers.follow_slowest import FollowSlowest
 from coopqp.drivers.motion import RESOLUTION
 from coopqp.drivers.timing import ClockOffset
 from coopqp.errors import StiffnessWarning
-from coopqp.scenarios import mixed_cell, paper_lift
+from coopqp.scenarios import dual_arm7, mixed_cell, paper_lift
 
 pytestmark = pytest.mark.filterwarnings("ignore::coopqp.errors.StiffnessWarning")
 _LAGS = (0.007, 0.032, 0.047)
@@ -228,6 +229,26 @@ def test_operators_calls_are_made_between_periods(cell, lift):
     assert run.report.time > 1.5 + 0.4
     assert run.report.statuses["paused"] > 100
     _kept(run)
+
+
+def _jogged(lags, seed, addition):
+    """Largest distance of two arms that an operator jogs to and fro with all accelerations that they have [m]."""
+    scenario = dual_arm7()
+    cell = scenario.cell.with_limits(velocity=1.05, acceleration=10.5)
+    rng = np.random.default_rng(seed)
+    twists = np.array([0.25, 0.2, 0.15, 0.3, 0.3, 0.3]) * rng.choice([-1.0, 1.0], (4, 6))
+    jogs = [(0.3 + 0.08 * i, lambda robots, loop, i=i: loop.jog(twists[i // 6], deadman_s=0.2)) for i in range(24)]
+    stop = (2.3, lambda robots, loop: loop.stop())
+    run = drive(cell, replace(scenario, cell=cell), lags, events=[*jogs, stop], options={"addition": addition})
+    _kept(run)
+    return run.apart.max()
+
+
+@pytest.mark.parametrize("lags", slow_but_first([(0.03, 0.03), (0.01, 0.01), (0.007, 0.03), (0.004, 0.1)]))
+def test_the_addition_does_not_part_arms_that_are_jogged(lags):
+    without = _jogged(lags, 0, 0.0)
+    assert 1e-5 < without < 5e-3
+    assert _jogged(lags, 0, 0.05) <= 1.1 * without
 
 
 def test_stop_brakes_all_arms_together(cell, lift):

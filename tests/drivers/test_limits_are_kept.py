@@ -67,7 +67,7 @@ def _drive(seed, share, number=500, size=4096):
 def test_the_clock_the_mixtures_and_what_is_sent_keep_the_limits_at_hostile_rates(seed):
     points, mixtures, sent, velocity, acceleration = _drive(seed, 0.05)
     assert _excess(points, velocity, acceleration) <= _ROUNDING
-    assert _excess(mixtures, velocity, acceleration) <= _ROUNDING  # without the cut to the limits
+    assert _excess(mixtures, velocity, acceleration) <= _ROUNDING
     assert _excess(sent, velocity, acceleration) <= _ROUNDING
 
 
