@@ -26,7 +26,6 @@ from drive_runs import CELL, DT, LIFT, Row
 from coopqp import Grasp, LinePath, QPController, RobotCell, WaypointPath, simulate
 from coopqp.drivers import Command, ControlLoop, FrankaDriver, LoopOptions, Ros2Driver, SimDriver, UrDriver
 from coopqp.drivers.bag_recorder import BagRecorder
-from coopqp.drivers.led_loop import ShownRecorder
 from coopqp.drivers.process import prepare_process
 from coopqp.drivers.report import LoopReport
 from coopqp.errors import StiffnessWarning
@@ -233,16 +232,15 @@ def _seen() -> tuple[LoopReport, int]:
 
     with tempfile.TemporaryDirectory() as folder:
         bag = BagRecorder(CELL.joint_names, Path(folder) / "bag")
-        shown = ShownRecorder(bag)
 
         def lead(loop: ControlLoop) -> PageLink:
             still = QPController(CELL, LIFT.grasp, LIFT.path, dt=DT)
             start = simulate(still, q_start=LIFT.q_start, duration=DT, metadata={"scenario": "lift", "object": None})
             link = PageLink(_Watched(loop), start, port=0, sticks=True)
-            shown.shows.append(link.observe)
+            loop.shows.append(link.observe)
             return link
 
-        report = _on_sim(shown, lead)
+        report = _on_sim(bag, lead)
         return report, bag.close()[0]
 
 

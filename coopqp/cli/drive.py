@@ -242,7 +242,6 @@ def _drive(
     lead: Callable[[ControlLoop], PageLink] | None,
 ) -> int:
     from coopqp.drivers.bag_recorder import BagRecorder
-    from coopqp.drivers.led_loop import ShownRecorder
     from coopqp.drivers.loop import ControlLoop
     from coopqp.drivers.options import LoopOptions
     from coopqp.drivers.process import BESIDE_PAGE
@@ -258,11 +257,10 @@ def _drive(
         recorder = MemoryRecorder(controller)
     elif arguments.record is not None:
         recorder = BagRecorder(run.scenario.cell.joint_names, arguments.record)
-    shown = ShownRecorder(recorder)
     table = run.settings.ros2
     plain = lead is None and table is None
     options = LoopOptions(ramp_time=2.0, realtime=None if lead is None else BESIDE_PAGE)
-    loop = ControlLoop(controller, drivers, options, recorder=recorder if plain else shown)
+    loop = ControlLoop(controller, drivers, options, recorder=recorder)
     with contextlib.ExitStack() as ending:
         if isinstance(recorder, BagRecorder):
             ending.callback(recorder.close)
@@ -274,11 +272,11 @@ def _drive(
         if lead is not None:
             link = lead(loop)
             ending.callback(link.close)
-            shown.shows.append(link.observe)
+            loop.shows.append(link.observe)
         if table is not None:
             board = Ros2Board(loop, run.scenario.name, build_options(Ros2BoardOptions, table))
             ending.callback(board.close)
-            shown.shows.append(board.observe)
+            loop.shows.append(board.observe)
         seen = ending.enter_context(interrupts(loop))
         ending.enter_context(_waits_told(loop, led=not plain))
         if not arguments.quiet:

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from coopqp.simulation.recording.recording import Recording
     from coopqp.visualization.jog.link import PageLink
 
-from coopqp.cli.terminal import add_command, print_written, reporter
+from coopqp.cli.terminal import add_command, print_written, reporter, say
 
 _OK, _FAILED = 0, 4
 #: Port of the page.
@@ -146,6 +146,8 @@ def _on_page(arguments: argparse.Namespace) -> Recording | None:
         p50, p99, most = (1e6 * late for late in run.lateness())
         print(f"{run.steps} steps, late p50 {p50:.0f}, p99 {p99:.0f}, largest {most:.0f} µs; {run.missed} left out")
         print(f"real-time scheduler: {run.scheduler}; the page drew {link.shown} of {link.told} moments")
+    for failure in run.outside.failures.values():
+        say("failed:", failure)
     if not records:
         return None
     return task.finished(run.recording(dict(task.metadata)))

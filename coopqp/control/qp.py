@@ -11,7 +11,6 @@ from __future__ import annotations
 import copy
 import time
 import warnings
-from collections import deque
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any, final
 
@@ -25,6 +24,7 @@ from coopqp.control.lock import alone
 from coopqp.control.operator.calls import OperatorCalls
 from coopqp.control.operator.changes import Target
 from coopqp.control.operator.operator import Operator
+from coopqp.control.operator.waiting import Waiting, kind_of
 from coopqp.control.options import QPOptions
 from coopqp.control.step.constraint_set import Constraints
 from coopqp.control.step.plain import PlainLoop
@@ -102,7 +102,7 @@ class QPController(OperatorCalls):
         #: By how much the tools are elsewhere on the object than the grasp says (N, 6); None if they are not.
         self._shift: Array | None = None
         #: An operator's calls from another thread than the one that steps: made in the next step.
-        self._waiting: deque[Callable[[], object]] = deque()
+        self._waiting: Waiting[tuple[str, Callable[[], object]]] = Waiting()
         self._take(path)
 
     @property
@@ -114,7 +114,8 @@ class QPController(OperatorCalls):
     def _lock(self) -> Any:
         return self._loop
 
-    def _take(self, path: ObjectPath, clock: float = 0.0) -> float:
+    def _check_path(self, path: ObjectPath) -> None:
+        """Refuse a path that is another cell's, or one whose tools move where they cannot."""
         elbows = getattr(path, "elbows", None)
         if isinstance(elbows, Elbows) and elbows.x.shape[1:] != (self.cell.nv,):
             raise InvalidInputError("its elbows are those of another cell", "QPController: path", "Give this cell's.")
@@ -123,6 +124,9 @@ class QPController(OperatorCalls):
             refuse_motion(path, "QPController: path", HOLD_ON)
         if isinstance(grasps, GraspMotion):
             self._check_motion(grasps)
+
+    def _take(self, path: ObjectPath, clock: float = 0.0) -> float:
+        self._check_path(path)
         begin = self._operator.restart(path, clock)
         self._loop.follow(self._operator.way.path, self._operator.way)
         self._find_fast_step()
@@ -159,7 +163,7 @@ class QPController(OperatorCalls):
         if self._waiting:
             self._fast = None
 
-    def _soon(self, call: Callable[[], object]) -> None:
+    def _soon(self, name: str, value: Any, call: Callable[[], object]) -> None:
         """Make an operator's call: at once, or in the next step where another thread steps this controller."""
         loop = self._loop
         try:
@@ -169,7 +173,7 @@ class QPController(OperatorCalls):
         except BusyError:
             waits = True
         if waits:
-            self._waiting.append(call)
+            self._waiting.put(kind_of(name, value), (name, call))
             self._fast = None
             return
         try:
@@ -178,8 +182,9 @@ class QPController(OperatorCalls):
             loop.release()
 
     def _catch_up(self) -> None:
-        while self._waiting:
-            self._waiting.popleft()()
+        for calls in self._waiting.take():
+            name, call = calls[-1]
+            self._operator.make(name, call)
 
     def __repr__(self) -> str:
         return short_text(self)
@@ -273,9 +278,14 @@ class QPController(OperatorCalls):
         Raises:
             InvalidInputError: not a path, or the clock is not on it; the old path goes on.
         """
+        self.operate("follow", None, self.following(path, clock))
+
+    def following(self, path: ObjectPath, clock: float) -> Callable[[Operator], None]:
+        """What :meth:`follow` asks for, checked as there."""
         GuardedPath(path).check("follow")
         clock = _on(path, clock, "follow: clock")
-        self.operate("follow", None, lambda operator: self._follow(path, clock))
+        self._check_path(path)
+        return lambda operator: self._follow(path, clock)
 
     def _follow(self, path: ObjectPath, clock: float) -> None:
         rate = self._rate_into(path, clock) if self._started else None
@@ -352,10 +362,18 @@ class QPController(OperatorCalls):
         Raises:
             UnknownNameError: no gate of the program waits for it.
         """
+        self._check_signal(name)
+
+        def signal(operator: Operator) -> None:
+            self._check_signal(name)
+            operator.signal(name)
+
+        self.operate("signal", name, signal)
+
+    def _check_signal(self, name: str) -> None:
         names = {gate for _, gate in self.path.gates}
         if name not in names:
             raise UnknownNameError("signal", name, sorted(names))
-        self.operate("signal", name, lambda operator: operator.signal(name))
 
     @property
     def shares(self) -> Array:
@@ -398,17 +416,23 @@ class QPController(OperatorCalls):
         Raises:
             InvalidInputError: the path is no ServoPath, or the pose is not one; the old target stays.
         """
-        if not isinstance(self.path, ServoPath):
-            raise InvalidInputError(
-                f"the path is a {type(self.path).__name__}", "retarget", "Build the controller with a ServoPath."
-            )
         wanted = as_placement(T_world_object, "retarget")
-        self.operate("retarget", wanted.homogeneous.tolist(), lambda operator: self._retarget(operator, wanted))
+        self.operate("retarget", wanted.homogeneous.tolist(), self.retargeting(wanted))
+
+    def retargeting(self, wanted: pin.SE3) -> Callable[[Operator], None]:
+        """What :meth:`retarget` asks for, checked as there."""
+        self._servo_path()
+        return lambda operator: self._retarget(operator, wanted)
+
+    def _servo_path(self) -> ServoPath:
+        path = self.path
+        if not isinstance(path, ServoPath):
+            what = f"the path is a {type(path).__name__}"
+            raise InvalidInputError(what, "retarget", "Build the controller with a ServoPath.")
+        return path
 
     def _retarget(self, operator: Operator, wanted: pin.SE3) -> None:
-        path = self.path
-        if not isinstance(path, ServoPath):  # another path is followed since
-            return
+        path = self._servo_path()
         if self._started:
             operator.ask(Target(wanted))
         else:
@@ -426,9 +450,12 @@ class QPController(OperatorCalls):
     def operate(self, call: str, value: Any, act: Callable[[Operator], None], *, started: bool = False) -> None:
         """Make an operator's call: at once, or in the next step where another thread steps.
 
+        Of calls of one kind that come between two steps the next step makes the last one. What cannot be done any more
+        by then changes nothing, and is an event of its own: see :meth:`take_events`.
+
         Args:
             call, value: the call's name and its value, for recordings.
-            act: what it does.
+            act: what it does; it raises InvalidInputError before it changes anything.
             started: it needs a reset before.
 
         Raises:
@@ -438,11 +465,12 @@ class QPController(OperatorCalls):
             raise InvalidInputError("nothing moves before reset", call, "Call reset(q) first.")
 
         def done() -> None:
-            self._operator.note(call, value)
+            clock = self._operator.clock
             act(self._operator)
+            self._operator.note(call, value, clock)
             self._find_fast_step()
 
-        self._soon(done)
+        self._soon(call, value, done)
 
     def shift_grasp(self, shift: ArrayLike) -> None:
         """Hold the object at shifted places of the tools from the next step on: ``exp(d_k) X_k`` for ``X_k`` of grasp.
@@ -465,7 +493,12 @@ class QPController(OperatorCalls):
                 "no six finite numbers per arm", "shift_grasp", f"Give an array ({len(self.cell)}, 6)."
             )
         self._refuse_shift("shift_grasp")
-        self._soon(lambda: self.take_shift(d)())
+
+        def shift_it() -> None:
+            self._refuse_shift("shift_grasp")  # another path may be followed since
+            self.take_shift(d)()
+
+        self._soon("shift_grasp", None, shift_it)
 
     def _refuse_shift(self, where: str) -> None:
         if self.path.grasps is not None and self.path.grasps.moves:
@@ -519,7 +552,8 @@ class QPController(OperatorCalls):
     def take_events(self) -> list[tuple[str, Any, float]]:
         """The operator's calls since the last time: name, value as plain data, and the program's clock then [s].
 
-        At most the last hundred: a recorder asks in every step.
+        One that could not be made in its step is ``"refused"``, and its value says in a sentence why. At most the last
+        hundred: a recorder asks in every step.
         """
         return self._operator.take_events()
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 import abc
 import functools
 import math
-from collections import deque
 from collections.abc import Callable
 from concurrent.futures import Future
 from typing import Any
@@ -13,27 +12,36 @@ from typing import Any
 from coopqp.checks import ArrayLike, as_scalar
 from coopqp.control.operator.calls import DEADMAN
 from coopqp.control.operator.hands import HAND_SILENCE
+from coopqp.control.operator.waiting import Waiting, kind_of
+from coopqp.drivers.contained import Contained
 from coopqp.errors import InvalidInputError
 from coopqp.spatial import Placement
+
+#: Sentences of refused calls that are kept.
+_MOST_REFUSED = 100
 
 
 class LoopCalls(abc.ABC):
     """What an operator may ask of a loop.
 
     Each call comes back at once, with a future: its ``result()`` waits until the controller has taken the call, and
-    raises what the controller raises; the loop goes on. A call that nobody waits for and that is refused stands in the
-    report. The calls from :meth:`reverse` on are those of the controller, with its arguments.
+    raises what the controller raises; the loop goes on. Of calls that decide the same (pause or resume, the override,
+    the way to go, a twist) and come between two periods the last one is made, and answers for all. A call whose future
+    is cancelled by then is not made. A call that nobody waits for and that is refused stands in the report. The calls
+    from :meth:`reverse` on are those of the controller, with its arguments.
 
     Attributes:
         controller: the controller.
-        refused_calls: what the controller refused in this run, a sentence each.
+        refused_calls: what the controller refused in this run, a sentence each, the first hundred.
+        outside: what others raised in this run.
     """
 
     controller: Any
 
     def __init__(self) -> None:
-        self._calls: deque[Callable[[], None]] = deque()
+        self._calls: Waiting[tuple[Future[None], Callable[[], object]]] = Waiting()
         self.refused_calls: list[str] = []
+        self.outside = Contained()
         self._now, self._silent_at = -math.inf, math.inf
         self._silent: Callable[[], object] = self._end_silence
 
@@ -47,50 +55,65 @@ class LoopCalls(abc.ABC):
 
     def _queued(self, call: Callable[[], object], name: str) -> Future[None]:
         future: Future[None] = Future()
-
-        def make() -> None:
-            try:
-                call()
-            except InvalidInputError as error:
-                self.refused_calls.append(f"{name}: {error}")
-                future.set_exception(error)
-            else:
-                future.set_result(None)
-
-        self._calls.append(make)
+        self._calls.put(kind_of(name), (future, functools.partial(self._make, name, call)))
         return future
 
+    def _make(self, name: str, call: Callable[[], object]) -> None:
+        try:
+            call()
+        except Exception as error:
+            if len(self.refused_calls) < _MOST_REFUSED:
+                self.refused_calls.append(f"{name}: {error}")
+            raise
+
     def _drain(self) -> None:
-        """Make the calls that wait."""
-        while self._calls:
-            self._calls.popleft()()
-
-    def _ask_for_a_while(self, longest: float, silent: Callable[[], object], call: Future[None]) -> Future[None]:
-        """A call that has to be repeated within a time [s]; else ``silent`` is called.
-
-        The controller counts such times on its own clock, which the slowest robot slows.
-        """
-
-        def watch(done: Future[None]) -> None:
-            if done.exception() is None:
-                self._silent_at, self._silent = self._now + longest, silent
-
-        call.add_done_callback(watch)
-        return call
+        """Make the calls that wait now."""
+        for calls in self._calls.take():
+            asked = [(future, make) for future, make in calls if _is_wanted(future)]
+            if not asked:
+                continue
+            refused: Exception | None = None
+            try:
+                asked[-1][1]()
+            except Exception as error:
+                refused = error
+            for future, _ in asked:
+                if refused is None:
+                    self.outside.call("a caller", future.set_result, None)
+                else:
+                    self.outside.call("a caller", future.set_exception, refused)
 
     def _end_silence(self) -> None:
         """Brake where a call was to be repeated, and was not."""
         if self._now >= self._silent_at:
             self._silent_at = math.inf
-            self._silent()
+            self.outside.call("the end of a call by hand", self._silent)
 
     def _ask(self, name: str, *given: Any, **more: Any) -> Future[None]:
+        return self._queued(self._call_of(name, *given, **more), name)
+
+    def _ask_for_a_while(
+        self, longest: float, silent: Callable[[], object], name: str, *given: Any, **more: Any
+    ) -> Future[None]:
+        """A call that has to be repeated within a time [s]; else ``silent`` is called.
+
+        The controller counts such times on its own clock, which the slowest robot slows.
+        """
+        call = self._call_of(name, *given, **more)
+
+        def made() -> None:
+            call()
+            self._silent_at, self._silent = self._now + longest, silent
+
+        return self._queued(made, name)
+
+    def _call_of(self, name: str, *given: Any, **more: Any) -> Callable[[], object]:
         call = getattr(self.controller, name, None)
         if not callable(call):
             raise InvalidInputError(
                 f"a {type(self.controller).__name__} has no {name}()", f"ControlLoop.{name}", "Give a QPController."
             )
-        return self._queued(functools.partial(call, *given, **more), name)
+        return functools.partial(call, *given, **more)
 
     def pause(self) -> Future[None]:
         """Bring the object to rest on its path, until :meth:`resume`."""
@@ -111,7 +134,7 @@ class LoopCalls(abc.ABC):
 
     def stop(self, reason: str = "stopped by its operator") -> Future[None]:
         """Brake all arms together, and end the run at rest."""
-        return self._queued(lambda: self._end(reason, failed=True), "stop")
+        return self._queued(lambda: self._end(reason or "stopped by its operator", failed=True), "stop")
 
     def reverse(self, to: float = 0.0) -> Future[None]:
         """Go back along the program to a clock [s], and rest there."""
@@ -137,7 +160,7 @@ class LoopCalls(abc.ABC):
         """Move the object by hand with a twist (6,) [m/s, rad/s]; the command holds for a moment of real time [s]."""
         longest = as_scalar(deadman_s, "ControlLoop.jog: deadman_s", high=1.0)
         return self._ask_for_a_while(
-            longest, lambda: self.controller.jog([0.0] * 6), self._ask("jog", twist, frame=frame, deadman_s=longest)
+            longest, lambda: self.controller.jog([0.0] * 6), "jog", twist, frame=frame, deadman_s=longest
         )
 
     def return_to_path(self) -> Future[None]:
@@ -146,16 +169,24 @@ class LoopCalls(abc.ABC):
 
     def gear(self, position: float, *, speed: float = 1.0) -> Future[None]:
         """Let the program's clock follow a belt's position [s of it]; after 0.1 s without one the object pauses."""
-        return self._ask_for_a_while(DEADMAN, self.controller.pause, self._ask("gear", position, speed=speed))
+        return self._ask_for_a_while(DEADMAN, lambda: self.controller.pause(), "gear", position, speed=speed)
 
     def engage(self, T_world_hand: Placement) -> Future[None]:
         """Let the object follow a hand."""
-        return self._ask_for_a_while(HAND_SILENCE, self.controller.release, self._ask("engage", T_world_hand))
+        return self._ask_for_a_while(HAND_SILENCE, lambda: self.controller.release(), "engage", T_world_hand)
 
     def target(self, T_world_hand: Placement) -> Future[None]:
         """Where the hand is now; after 0.25 s of real time without it the hand is released."""
-        return self._ask_for_a_while(HAND_SILENCE, self.controller.release, self._ask("target", T_world_hand))
+        return self._ask_for_a_while(HAND_SILENCE, lambda: self.controller.release(), "target", T_world_hand)
 
     def release(self) -> Future[None]:
         """Let the object follow no hand any more."""
         return self._ask("release")
+
+
+def _is_wanted(future: Future[None]) -> bool:
+    """Whether somebody waits for a call; from now on it cannot be cancelled."""
+    try:
+        return future.set_running_or_notify_cancel()
+    except RuntimeError:  # its caller has answered it
+        return False

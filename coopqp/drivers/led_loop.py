@@ -2,16 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from concurrent.futures import Future, TimeoutError as NotYet
 from typing import Any, final
 
-from coopqp.control.interface import ControlStep
-from coopqp.drivers.driver import LoopRecorder
 from coopqp.drivers.loop import ControlLoop
 from coopqp.drivers.real_time import CALLS
 from coopqp.errors import InvalidInputError
-from coopqp.spatial import Array
 
 #: A call's answer is waited for so long [s]; a later refusal stands in the loop's report.
 _PATIENCE = 0.2
@@ -56,19 +52,3 @@ def _answer(future: Future[None]) -> None:
         future.result(_PATIENCE)
     except NotYet:
         return
-
-
-@final
-class ShownRecorder:
-    """Shows each period's step to all of ``shows``, and hands it on to another recorder if there is one."""
-
-    def __init__(self, then: LoopRecorder | None = None) -> None:
-        self.shows: list[Callable[[ControlStep], None]] = []
-        self._then = then
-
-    def take(self, moment: float, measured: Array, sent: Array, step: ControlStep, clock: float) -> None:
-        """One period."""
-        if self._then is not None:
-            self._then.take(moment, measured, sent, step, clock)
-        for show in self.shows:
-            show(step)

@@ -9,7 +9,7 @@ import math
 import threading
 import warnings
 from collections import Counter
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import Any, final
 
 import numpy as np
@@ -19,6 +19,7 @@ from coopqp.checks import as_options
 from coopqp.collision.clearance import Clearance
 from coopqp.control.interface import ControlStep, Status
 from coopqp.drivers.calls import LoopCalls
+from coopqp.drivers.contained import name_of
 from coopqp.drivers.driver import STANDS, Bodies, Command, Condition, DriverError, LoopRecorder, RobotDriver
 from coopqp.drivers.motion import SharedMotion
 from coopqp.drivers.options import LoopOptions
@@ -46,7 +47,9 @@ class ControlLoop(LoopCalls):
     """Drives robots with a controller. Each run begins with a reset of the controller where the robots stand.
 
     The calls of an operator (pause, resume, override, stop, reverse, jog and more) and :meth:`beat` may come from any
-    thread; they take effect between two periods. It is no safety function.
+    thread; they take effect between two periods. What a caller, a recorder or a page raises ends no run: the report
+    says it once, and commands go on. Where a driver or ``bodies`` raise, what they would have said is missing. It is no
+    safety function.
 
     Args:
         controller: a QPController or ForceController.
@@ -61,6 +64,7 @@ class ControlLoop(LoopCalls):
     Attributes:
         robots: the robots, with their joints.
         watches: what is read of each.
+        shows: called with the controller's last step in each period, as a page is.
         period, lead: of the loop [s].
 
     Raises:
@@ -91,6 +95,7 @@ class ControlLoop(LoopCalls):
         self.period = controller.dt if self.options.period is None else self.options.period
         self.lead = 2.0 * self.period if self.options.lead is None else self.options.lead
         self._recorder, self._bodies = recorder, bodies
+        self.shows: list[Callable[[ControlStep], object]] = []
         self._clearances = [c for c in getattr(controller, "constraints", ()) if isinstance(c, Clearance)]
         if bodies is not None and not self._clearances:
             raise InvalidInputError(
@@ -185,6 +190,7 @@ class ControlLoop(LoopCalls):
         try:
             self._ending, self._failed = "", False
             self.refused_calls.clear()
+            self.outside.failures.clear()
             o = self.options
             with keeps_scheduler():
                 self._process = prepare_process(realtime=o.realtime, lock_memory=o.lock_memory, core=o.core)
@@ -252,9 +258,14 @@ class ControlLoop(LoopCalls):
         for watch in self.watches:
             joints = watch.robot.joints
             velocity = (sent[joints] - before[joints]) / self.period
-            watch.robot.driver.send(Command(sent[joints], velocity, deadline + self.lead - watch.offset))
-        if self._recorder is not None and self._step is not None:
-            self._recorder.take(now, self._measured, sent, self._step, motion.way.clock(motion.play_out.parameter))
+            command = Command(sent[joints], velocity, deadline + self.lead - watch.offset)
+            name = f"driver '{watch.robot.name}'"
+            if not self.outside.call(name, watch.robot.driver.send, command):
+                self._end(
+                    f"robot '{watch.robot.name}' was not sent its command: {self.outside.failures[name]}", failed=True
+                )
+        if self._step is not None:
+            self._tell(self._step, sent, motion.way.clock(motion.play_out.parameter))
         if motion.law.stopped and not braking and not self._standing:
             self._settled = self._settled + self.period if motion.rests() else 0.0
             if self._settled >= _SETTLED:
@@ -264,6 +275,15 @@ class ControlLoop(LoopCalls):
         self._still = self._still + self.period if self._holds() else 0.0
         if self._still > self.options.give_up_after and self._step is not None:
             self._end(self._step.explain(), failed=True)
+
+    def _tell(self, step: ControlStep, sent: Array, clock: float) -> None:
+        """Tell the recorder and all of :attr:`shows` what a period did."""
+        recorder, outside = self._recorder, self.outside
+        if recorder is not None:
+            name = f"recorder {type(recorder).__name__}"
+            outside.call(name, recorder.take, self._now, self._measured, sent, step, clock)
+        for show in self.shows:
+            outside.call(name_of(show), show, step)
 
     def _holds(self) -> bool:
         """Whether the controller does not go on by itself; behind a robot that stopped it is not asked."""
@@ -307,9 +327,11 @@ class ControlLoop(LoopCalls):
         return said
 
     def _move_bodies(self, now: float) -> None:
-        if self._bodies is None:
-            return
-        for name, T_world_body, twist, stamp in self._bodies.read():
+        if self._bodies is not None:
+            self.outside.call(f"bodies {type(self._bodies).__name__}", self._take_bodies, self._bodies, now)
+
+    def _take_bodies(self, bodies: Bodies, now: float) -> None:
+        for name, T_world_body, twist, stamp in bodies.read():
             age = now - stamp
             if not 0.0 <= age <= self.options.gone_after:
                 continue
@@ -423,4 +445,5 @@ class ControlLoop(LoopCalls):
             statuses=dict(self._statuses),
             process=self._process,
             refused_calls=tuple(self.refused_calls),
+            failures=tuple(self.outside.failures.values()),
         )

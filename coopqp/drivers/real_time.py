@@ -9,6 +9,7 @@ from typing import Any, final
 import numpy as np
 
 from coopqp.control.interface import ControlStep
+from coopqp.drivers.contained import Contained, name_of
 from coopqp.drivers.process import as_priority, keeps_scheduler, prepare_process
 from coopqp.drivers.timing import LoopTime, MonotonicTime
 from coopqp.errors import CoopqpError, InvalidInputError
@@ -41,6 +42,7 @@ class RealTimeRun:
     Attributes:
         steps, missed: steps so far, and periods that were left out after overruns.
         scheduler: what came of asking for the FIFO scheduler, in words.
+        outside: what others raised, as the page; the run went on.
     """
 
     def __init__(
@@ -60,6 +62,7 @@ class RealTimeRun:
         self._plant = KinematicPlant(controller.cell) if plant is None else plant
         self._records, self._time = records, MonotonicTime() if time is None else time
         self._calls: deque[Callable[[], None]] = deque()
+        self.outside = Contained()
         self._stopped = False
         self._late = np.zeros(_KEPT)
         self._realtime, self.scheduler = as_priority(realtime, "RealTimeRun: realtime"), "ordinary"
@@ -116,8 +119,8 @@ class RealTimeRun:
         time, h = self._time, self.controller.dt
         deadline = time.now()
         while True:
-            while self._calls:
-                self._calls.popleft()()
+            for _ in range(len(self._calls)):
+                self.outside.call("reset", self._calls.popleft())
             step = self.controller.step(self._measured)
             self._measured = self._plant.apply(step)
             if self._recorder is None:
@@ -125,7 +128,7 @@ class RealTimeRun:
             else:
                 self._recorder.take(step, self._measured)
             if observe is not None:
-                observe(step)
+                self.outside.call(name_of(observe), observe, step)
             deadline += h
             time.sleep_until(deadline)
             late = time.now() - deadline

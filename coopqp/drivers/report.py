@@ -38,7 +38,8 @@ class LoopReport:
         largest_force: largest force at a grasp that was measured [N]; NaN without sensors.
         statuses: number of controller's steps with each status.
         process: what was asked of the operating system, and what came of it.
-        refused_calls: operators' calls that the controller refused, a sentence each.
+        refused_calls: operators' calls that the controller refused, a sentence each, the first hundred.
+        failures: what recorders, pages, callers and drivers raised while the run went on, a sentence each.
     """
 
     finished: bool
@@ -63,6 +64,7 @@ class LoopReport:
     statuses: dict[str, int] = field(default_factory=dict)
     process: dict[str, str] = field(default_factory=dict)
     refused_calls: tuple[str, ...] = ()
+    failures: tuple[str, ...] = ()
 
     def lines(self) -> list[str]:
         """The run in a few lines."""
@@ -86,6 +88,7 @@ class LoopReport:
         if "realtime" in self.process:
             text.append(f"real-time scheduler: {self.process['realtime']}")
         text += [f"refused {call}" for call in self.refused_calls]
+        text += [f"failed: {failure}" for failure in self.failures]
         text.append("statuses: " + ", ".join(f"{name} {count}" for name, count in self.statuses.items()))
         return text
 

@@ -28,13 +28,14 @@ def connect(watches: Sequence[RobotWatch], time: LoopTime, *, longest: float, pe
         now = time.now()
         for watch in watches:
             watch.read(time)
-        silent = [watch.robot.name for watch in watches if watch.state is None]
+        silent = [watch for watch in watches if watch.state is None]
         if not silent:
             return
         if now > limit:
+            use = f" of use ({silent[0].refusal})" if silent[0].refusal else ""
             raise DriverError(
-                f"robot '{silent[0]}' tells no state within {longest:g} s. Look at its address, its network and "
-                "whether its program runs."
+                f"robot '{silent[0].robot.name}' tells no state{use} within {longest:g} s. Look at its address, its "
+                "network and whether its program runs."
             )
         time.sleep_until(now + period)
 

@@ -10,6 +10,7 @@ import numpy as np
 from coopqp.drivers.driver import Condition, RobotState
 from coopqp.drivers.robots import Robot
 from coopqp.drivers.timing import ClockOffset, LoopTime
+from coopqp.errors import said
 from coopqp.spatial import Array
 
 #: A state is carried on by its velocity for this time at most [s].
@@ -48,9 +49,13 @@ class RobotWatch:
         return self._clock.offset
 
     def read(self, time: LoopTime) -> None:
-        """Take the newest state, if there is one."""
+        """Take the newest state, if there is one. Where the driver raises there is none; :attr:`refusal` says so."""
         self.fresh = False
-        state = self.robot.driver.read()
+        try:
+            state = self.robot.driver.read()
+        except Exception as error:
+            self.refused, self.refusal = self.refused + 1, f"its driver raised {said(error)}"
+            return
         now = time.now()  # after the reading: a stall between would make the state older than it is
         if state is None:
             return

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import copy
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import Any, final
 
 import numpy as np
@@ -49,7 +49,7 @@ from coopqp.paths.grasp_motion import HAND_OVER_S, GraspMotion
 from coopqp.paths.guarded import GuardedPath
 from coopqp.paths.moving_grasps import refuse_moving_holds
 from coopqp.paths.path import ObjectPath
-from coopqp.spatial import Array, Placement
+from coopqp.spatial import Array, Placement, as_placement
 
 #: Words for :data:`layout.STAGES`, in their order.
 _STAGES = (
@@ -172,9 +172,18 @@ class ForceController(OperatorCalls):
     def _commanded(self) -> QPController:
         return self._qp
 
-    def _asked(self, name: str, value: Any, change: Change) -> None:
-        super()._asked(name, value, change)
+    def _takes(self, operator: Operator, change: Change) -> None:
+        super()._takes(operator, change)
         self._scalars.goes_on = 1.0
+
+    def _going_on(self, act: Callable[[Operator], None]) -> Callable[[Operator], None]:
+        """A call that ends a hold, in the thread that steps."""
+
+        def acts(operator: Operator) -> None:
+            act(operator)
+            self._scalars.goes_on = 1.0
+
+        return acts
 
     @property
     def _qp(self) -> QPController:
@@ -232,13 +241,12 @@ class ForceController(OperatorCalls):
         """Take another path; see :meth:`coopqp.QPController.follow`. It ends a hold, as :meth:`resume` does."""
         refuse_moving_holds(path, "ForceController.follow: path", _LET_GO)
         check_squeeze(self.cell, self.grasp, path, self.options)
-        self._qp.follow(path, clock=clock)
-        self._scalars.goes_on = 1.0
+        self._qp.operate("follow", None, self._going_on(self._qp.following(path, clock)))
 
     def retarget(self, T_world_object: Placement) -> None:
         """Move the target of a servo path; see :meth:`coopqp.QPController.retarget`. It ends a hold, as resume does."""
-        self._qp.retarget(T_world_object)
-        self._scalars.goes_on = 1.0
+        wanted = as_placement(T_world_object, "retarget")
+        self._qp.operate("retarget", wanted.homogeneous.tolist(), self._going_on(self._qp.retargeting(wanted)))
 
     def signal(self, name: str) -> None:
         """A signal has come, such as "gripper closed"; see :meth:`coopqp.QPController.signal`."""
@@ -261,8 +269,7 @@ class ForceController(OperatorCalls):
 
     def resume(self) -> None:
         """Go on after :meth:`pause`, or after the object has touched something: half a second after the last push."""
-        self._qp.resume()
-        self._scalars.goes_on = 1.0
+        self._qp.operate("resume", None, self._going_on(lambda operator: operator.pause(False)))
 
     # -- the wrenches --------------------------------------------------------------------------------------------
 

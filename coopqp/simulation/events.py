@@ -9,6 +9,7 @@ from typing import Any, final
 
 import numpy as np
 
+from coopqp.control.operator.operator import REFUSED
 from coopqp.errors import CoopqpError, InvalidInputError
 from coopqp.simulation.recording.recording import Recording
 
@@ -57,6 +58,8 @@ class Event:
             raise InvalidInputError(str(error).rstrip("."), self.place, "Change this line.") from error
 
     def _make(self, controller: Any) -> None:
+        if self.call == REFUSED:  # it has changed nothing
+            return
         method = getattr(controller, self.call, None)
         if self.call not in _CALLS or method is None:
             what = f"a {type(controller).__name__} takes no call '{self.call}' from a recording or a script"

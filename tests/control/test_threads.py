@@ -13,7 +13,7 @@ import pinocchio as pin
 import pytest
 from marks import slow_but_first
 
-from coopqp import CoopqpError, ForceController, ObjectPath, QPController
+from coopqp import CoopqpError, ForceController, LinePath, ObjectPath, QPController, ServoPath
 from coopqp.baselines import IndependentQPController, PseudoInverseController
 from coopqp.errors import BusyError
 from coopqp.native import available_kernels
@@ -141,6 +141,125 @@ def test_what_an_operator_asks_for_from_another_thread_waits_for_the_next_step(
     ]
     for ask in asked:
         assert run(ask, elsewhere=True) == run(ask, elsewhere=False)
+
+
+def elsewhere(call: Callable[[], object]) -> None:
+    """Make calls in another thread."""
+    other = threading.Thread(target=call)
+    other.start()
+    other.join(timeout=30)
+
+
+@pytest.mark.parametrize("kernel", slow_but_first(available_kernels()))
+def test_a_step_takes_the_calls_that_wait_when_it_begins(kernel: str, paper: Scenario) -> None:
+    """A call that comes while they are made waits for the next step: a caller without a break holds no step."""
+    made = QPController(paper.cell, paper.grasp, paper.path, dt=0.0075, options={"kernel": kernel})
+    made.reset(paper.q_start)
+    made.step()
+    counted = []
+
+    def again(operator: Any) -> None:
+        counted.append(made.program_clock)
+        elsewhere(lambda: made.operate("pause", None, again))
+
+    elsewhere(lambda: made.operate("pause", None, again))
+    clocks = [made.step().clock for _ in range(5)]
+    assert counted == clocks
+
+
+def test_of_calls_that_decide_the_same_the_last_one_is_made(paper: Scenario) -> None:
+    made = QPController(paper.cell, paper.grasp, paper.path, dt=0.0075)
+    made.reset(paper.q_start)
+    made.step()
+
+    def ask() -> None:
+        for i in range(1000):
+            made.pause()
+            made.set_override(0.001 * i)
+            made.run_to(0.1 + 0.0001 * i)
+            made.resume()
+
+    elsewhere(ask)
+    made.step()
+    assert [(name, value) for name, value, _ in made.take_events()] == [
+        ("set_override", 0.999), ("run_to", 0.1 + 0.0999), ("resume", None),
+    ]  # fmt: skip
+    assert not made.paused
+
+
+def short_of(path: Any) -> LinePath:
+    """A path from where another begins, too short for what is asked along that one."""
+    return LinePath.displaced(path.pose(0.0), translation=(0.0, 0.0, 0.01), duration=0.3)
+
+
+#: Calls that are right when they are made, and where another one ahead of them leaves no place for them.
+TOO_LATE: dict[str, tuple[Callable[[Any], object], Callable[[Any], object]]] = {
+    "run_to": (lambda c: c.follow(short_of(c.path)), lambda c: c.run_to(0.9)),
+    "reverse": (lambda c: c.follow(short_of(c.path)), lambda c: c.reverse(0.2)),
+    "run_to ": (lambda c: c.follow(short_of(c.path)), lambda c: c.step_to_mark()),
+    "shift_path": (lambda c: c.follow(ServoPath(c.path.pose(0.0))), lambda c: c.shift_path(pin.SE3.Identity())),
+}
+
+
+@pytest.mark.parametrize("kernel", slow_but_first(available_kernels()))
+@pytest.mark.parametrize("said", TOO_LATE)
+@pytest.mark.parametrize("forces", [False, True])
+def test_what_cannot_be_done_where_a_call_takes_effect_is_an_event(
+    kernel: str, said: str, forces: bool, paper: Scenario
+) -> None:
+    cell = paper.cell.with_limits(acceleration=5.0)
+    inner = QPController(cell, paper.grasp, paper.path, dt=0.0075, options={"kernel": kernel})
+    made: Any = ForceController(inner, {"stiffness": 1e5}) if forces else inner
+    made.reset(paper.q_start)
+    while inner.program_clock < 0.4:
+        inner.step()
+    elsewhere(lambda: [call(made) for call in TOO_LATE[said]])
+    for _ in range(20):
+        made.step()
+    events = made.take_events()
+    assert [name for name, _, _ in events] == ["follow", "refused"]
+    assert events[1][1].startswith(f"{said.strip()}: InvalidInputError: ")
+
+
+def test_a_target_for_a_path_that_is_no_servo_path_any_more_is_an_event(paper: Scenario) -> None:
+    made = QPController(paper.cell, paper.grasp, ServoPath(paper.path.pose(0.0)), dt=0.0075)
+    made.reset(paper.q_start)
+    made.step()
+    elsewhere(lambda: [made.follow(paper.path), made.retarget(paper.path.pose(0.0))])
+    made.step()
+    events = made.take_events()
+    assert [name for name, _, _ in events] == ["follow", "refused"]
+    assert events[1][1].startswith("retarget: InvalidInputError: ")
+
+
+@pytest.mark.parametrize("kernel", slow_but_first(available_kernels()))
+@pytest.mark.parametrize("call", ["reverse", "run_to", "shift_path", "jog", "return_to_path", "forward"])
+def test_a_users_path_that_fails_while_a_call_waits_raises_in_no_step(kernel: str, call: str, paper: Scenario) -> None:
+    class Fails(Meeting):
+        fails = False
+
+        def pose(self, clock: float) -> pin.SE3:
+            if self.fails:
+                raise OSError("no more poses")
+            return super().pose(clock)
+
+    cell, path = paper.cell.with_limits(acceleration=5.0), Fails(paper.path)
+    made = QPController(cell, paper.grasp, path, dt=0.0075, options={"kernel": kernel})
+    made.reset(paper.q_start)
+    for _ in range(60):
+        made.step()
+    if call in ("return_to_path", "forward"):
+        made.jog([0.0, 0.0, 0.02, 0.0, 0.0, 0.0], deadman_s=0.2)
+        for _ in range(40):
+            made.step()
+    given: dict[str, tuple[Any, ...]] = {
+        "reverse": (0.1,), "run_to": (0.5,), "shift_path": (pin.SE3.Identity(),), "jog": ([0.0] * 5 + [0.1],),
+    }  # fmt: skip
+    elsewhere(lambda: getattr(made, call)(*given.get(call, ())))
+    made.step()
+    path.fails = True
+    steps = [made.step() for _ in range(40)]
+    assert np.isfinite([s.q_next for s in steps]).all()
 
 
 def test_bad_input_from_another_thread_is_refused_there(paper: Scenario) -> None:

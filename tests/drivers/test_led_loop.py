@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 
 from coopqp import InvalidInputError
-from coopqp.drivers.led_loop import LedLoop, ShownRecorder
+from coopqp.drivers.led_loop import LedLoop
 
 
 class Loop:
@@ -58,15 +58,3 @@ def test_arms_that_stand_go_on_by_hand() -> None:
     led.call("forward")
     led.call("reverse")
     assert loop.calls[1:] == [("resume",), ("resume",), ("forward",), ("reverse",)]
-
-
-def test_a_period_is_shown_and_recorded() -> None:
-    taken: list[Any] = []
-    then: Any = SimpleNamespace(take=lambda *period: taken.append(period))
-    shown = ShownRecorder(then)
-    period: Any = (0.0, None, None, "step", 1.0)
-    shown.take(*period)
-    shown.shows.append(taken.append)
-    shown.take(*period)
-    ShownRecorder().take(*period)
-    assert taken == [period, period, "step"]

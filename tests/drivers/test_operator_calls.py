@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+import asyncio
+import contextlib
 import threading
 
 import numpy as np
 import pytest
 from robots import drive, simulated_robots
 
-from coopqp import InvalidInputError, QPController
+from coopqp import CoopqpError, InvalidInputError, QPController
 from coopqp.drivers import ControlLoop, ManualTime
 from coopqp.scenarios import paper_lift
 
@@ -107,6 +109,113 @@ def test_a_call_of_another_thread_is_made_between_two_periods(cell, lift):
     assert report.finished, report.reason
     assert made[0].done()
     assert report.time > 3.5
+
+
+def _run_with(cell, lift, recorder, *shows, drivers=lambda arms: arms, **options):
+    """A run whose recorder is made of its loop; and the commands of all periods."""
+    time, sent = ManualTime(), []
+    arms = drivers(simulated_robots(cell, lift.q_start, time, NONE))
+
+    class Sees:
+        def take(self, moment, measured, commands, step, clock):
+            sent.append(commands.copy())
+            recorder(loop, len(sent))
+
+    controller = QPController(cell, lift.grasp, lift.path, dt=0.002)
+    loop = ControlLoop(controller, arms, recorder=Sees(), time=time, **options)
+    loop.shows.extend(shows)
+    return loop.run(), np.array(sent)
+
+
+@pytest.fixture(scope="module")
+def alone(cell, lift):
+    """The commands of a run that nobody calls."""
+    report, sent = _run_with(cell, lift, lambda loop, n: None)
+    assert report.finished, report.reason
+    return sent
+
+
+def test_no_call_ends_the_loop_whatever_its_caller_does(cell, lift, alone):
+    """Cancelled, waited for too shortly, answered by the caller itself, of no use: the run is that without calls."""
+    told = []
+
+    def rude(future):
+        future.set_result(None)
+
+    calls = {
+        100: lambda loop: loop.pause().cancel(),
+        110: lambda loop: asyncio.run(_impatient(loop.set_override(0.5))),
+        120: lambda loop: rude(loop.set_override(0.5)),
+        130: lambda loop: loop.set_override(1.0).add_done_callback(lambda done: 1 / 0),
+        140: lambda loop: told.append(loop.jog([0.0] * 6, frame="nobody")),
+        150: lambda loop: told.append(loop.jog([0.0] * 6, frame=["world"])),
+        160: lambda loop: told.append(loop.jog("abc")),
+        170: lambda loop: told.append(loop.reverse(object())),
+        180: lambda loop: told.append(loop.shift_path(None)),
+        190: lambda loop: told.append(loop.gear(10**400)),
+    }
+    report, sent = _run_with(cell, lift, lambda loop, n: calls.get(n, lambda loop: None)(loop))
+    assert report.finished, report.reason
+    np.testing.assert_array_equal(sent, alone)
+    for future in told:
+        assert isinstance(future.exception(0), CoopqpError)
+    assert len(report.refused_calls) == len(told)
+    assert not report.failures
+
+
+async def _impatient(future):
+    with contextlib.suppress(asyncio.TimeoutError):
+        await asyncio.wait_for(asyncio.wrap_future(future), 0.0)
+
+
+def test_what_a_recorder_and_a_page_raise_is_said_once_and_no_command_is_left_out(cell, lift, alone):
+    def fails(loop, n):
+        if n % 3 == 0:
+            raise OSError("disk full")
+
+    def page(step):
+        raise KeyError("browser gone")
+
+    report, sent = _run_with(cell, lift, fails, page)
+    assert report.finished, report.reason
+    np.testing.assert_array_equal(sent, alone)
+    assert set(report.failures) == {"page raised KeyError: 'browser gone'", "recorder Sees raised OSError: disk full"}
+    assert "failed: recorder Sees raised OSError: disk full" in report.lines()
+
+
+def test_of_calls_that_decide_the_same_the_last_one_is_made_and_answers_for_all(cell, lift):
+    futures = []
+
+    def asks(loop, n):
+        if n == 100:
+            futures.extend([loop.pause(), loop.reverse(0.0), loop.resume(), loop.run_to(0.5), loop.resume()])
+            futures[-1].cancel()
+
+    report, _ = _run_with(cell, lift, lambda loop, n: (asks(loop, n), loop.forward() if n == 400 else None))
+    assert report.finished, report.reason
+    assert [future.cancelled() for future in futures] == [False, False, False, False, True]
+    assert [future.result(0) for future in futures[:4]] == [None] * 4
+    assert report.slowest_rate >= 0.0
+
+
+def test_a_driver_whose_reading_raises_is_one_that_tells_nothing(cell, lift):
+    def drivers(arms):
+        arm, left = next(iter(arms.values())), [700]
+        read = arm.read
+
+        def fails():
+            left[0] -= 1
+            if left[0] < 0:
+                raise OSError("cable out")
+            return read()
+
+        arm.read = fails
+        return arms
+
+    report, sent = _run_with(cell, lift, lambda loop, n: None, drivers=drivers)
+    assert not report.finished
+    assert "told no state of use (its driver raised OSError: cable out)" in report.reason
+    assert np.abs(sent[-1] - sent[-2]).max() < 1e-8
 
 
 def test_a_controller_without_the_call_is_said_to_the_caller(cell, lift):

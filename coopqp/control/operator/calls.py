@@ -6,10 +6,10 @@ import abc
 from typing import Any
 
 from coopqp.checks import ArrayLike, as_scalar, as_vector
-from coopqp.control.operator.changes import Change, Jog, Return, Shift, Travel
-from coopqp.errors import InvalidInputError, UnknownNameError
+from coopqp.control.operator.changes import Change, Jog, Return, Shift, Travel, on_program
+from coopqp.control.operator.operator import Operator
+from coopqp.errors import UnknownNameError
 from coopqp.paths.guarded import GuardedPath
-from coopqp.paths.servo import ServoPath
 from coopqp.spatial import Placement, as_placement
 
 #: Time that a jog command holds [s].
@@ -22,7 +22,8 @@ class OperatorCalls(abc.ABC):
     Each is a change that waits until it is admissible: the object brakes on its present way until then, at rest at the
     latest, and the reason of the steps says so. The last one wins. A bad value changes nothing. In HOLDING and FAULT a
     change is kept, and nothing moves; ``reset`` discards it. From another thread than the one that steps, a call takes
-    effect in the next step.
+    effect in the next step; of several that decide the same (pause or resume, the override, the way to go, a twist)
+    the last one does. What cannot be done any more by then is refused: an event of the recording says so.
     """
 
     @property
@@ -31,7 +32,13 @@ class OperatorCalls(abc.ABC):
         """The QPController that makes the changes; controllers stand above their calls."""
 
     def _asked(self, name: str, value: Any, change: Change) -> None:
-        self._commanded.operate(name, value, lambda operator: operator.ask(change), started=True)
+        controller = self._commanded
+        change.check(controller.path, controller.program_clock)
+        controller.operate(name, value, lambda operator: self._takes(operator, change), started=True)
+
+    def _takes(self, operator: Operator, change: Change) -> None:
+        """Take a change, in the thread that steps."""
+        operator.ask(change)
 
     def reverse(self, to: float = 0.0) -> None:
         """Go back along the program to a clock [s], and rest there, PAUSED.
@@ -42,10 +49,7 @@ class OperatorCalls(abc.ABC):
         Raises:
             InvalidInputError: a clock that is not on the program or lies ahead, a program without an end, or no reset.
         """
-        to = self._on_program(to, "reverse: to")
-        if to > self._commanded.program_clock:
-            raise InvalidInputError(f"{to:g} s lies ahead", "reverse: to", "Give an earlier clock, or call run_to.")
-        self._asked("reverse", to, Travel(to))
+        self._asked("reverse", to, Travel(self._on_program(to, "reverse: to"), back=True))
 
     def forward(self) -> None:
         """Go on along the program to its end, also from PAUSED.
@@ -86,11 +90,6 @@ class OperatorCalls(abc.ABC):
         """
         shift = as_placement(T_world_shift, "shift_path: T_world_shift")
         over = as_scalar(over, "shift_path: over")
-        controller = self._commanded
-        if isinstance(controller.path, ServoPath):
-            raise InvalidInputError("the path is a ServoPath", "shift_path", "Move its target: retarget.")
-        if controller.program_clock >= controller.path.duration:
-            raise InvalidInputError("the object is at the end of its path", "shift_path", "Shift it before.")
         self._asked("shift_path", [shift.homogeneous.tolist(), over], Shift(shift, over))
 
     def jog(self, twist: ArrayLike, *, frame: str = "object", deadman_s: float = DEADMAN) -> None:
@@ -112,7 +111,7 @@ class OperatorCalls(abc.ABC):
         holds = as_scalar(deadman_s, "jog: deadman_s", high=1.0)
         names = self._commanded.cell.arm_names
         frames = {"world": -1, "object": -2, **{name: k for k, name in enumerate(names)}}
-        if frame not in frames:
+        if not isinstance(frame, str) or frame not in frames:
             raise UnknownNameError("frame", str(frame), frames)
         if not values.any():
             holds = 1e-9
@@ -178,8 +177,4 @@ class OperatorCalls(abc.ABC):
         self._commanded.operate("release", None, lambda o: o.release(), started=True)
 
     def _on_program(self, clock: float, where: str) -> float:
-        path = self._commanded.path
-        duration = GuardedPath(path).duration
-        if isinstance(path, ServoPath) or not duration < float("inf"):
-            raise InvalidInputError(f"a {type(path).__name__} has no end", where, "Follow a path that has one.")
-        return as_scalar(clock, where, open_low=False, high=duration)
+        return on_program(self._commanded.path, clock, where)

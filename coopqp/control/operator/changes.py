@@ -9,10 +9,14 @@ from typing import Any, final
 import numpy as np
 import pinocchio as pin
 
+from coopqp.checks import as_scalar
 from coopqp.control.operator.hands import HAND_SILENCE
 from coopqp.control.operator.way import Way
+from coopqp.errors import InvalidInputError
 from coopqp.native.constants import SAME_CLOCK
+from coopqp.paths.guarded import GuardedPath
 from coopqp.paths.moving_grasps import grasp_at
+from coopqp.paths.path import ObjectPath
 from coopqp.paths.section import Section
 from coopqp.paths.servo import ServoPath
 from coopqp.paths.shifted import ShiftedPath, clock_after
@@ -26,18 +30,41 @@ RETURN_SPEED, RETURN_SPIN = 0.25, 0.5
 TARGET_SPEED, TARGET_SPIN = 0.4, 1.0
 
 
+def on_program(path: ObjectPath, clock: float, where: str) -> float:
+    """A clock on a program that has an end [s].
+
+    Raises:
+        InvalidInputError: it is not on it, or the program has none.
+    """
+    duration = GuardedPath(path).duration
+    if isinstance(path, ServoPath) or not duration < float("inf"):
+        raise InvalidInputError(f"a {type(path).__name__} has no end", where, "Follow a path that has one.")
+    return as_scalar(clock, where, open_low=False, high=duration)
+
+
 class Change(abc.ABC):
     """A change of the motion. :meth:`attempt` is called in each step until it says that it is made.
 
     It is given the controller's :class:`~coopqp.control.operator.operator.Operator`, which stands above its changes.
     """
 
+    #: The call that asks for it.
+    call = ""
     #: What the object waits for, as the end of a sentence.
     waits = ""
     #: Whether the object is led by hand for it.
     by_hand = False
     #: How long the command holds without another one [s].
     holds_for = np.inf
+
+    def check(self, program: ObjectPath, clock: float) -> None:  # noqa: B027 - most can be made anywhere
+        """Refuse what the object cannot do at a clock of a program [s].
+
+        It is asked where the call comes and, as other calls may come ahead, again where it takes effect.
+
+        Raises:
+            InvalidInputError: it cannot.
+        """
 
     @abc.abstractmethod
     def attempt(self, operator: Any) -> bool:
@@ -50,7 +77,7 @@ class Target(Change):
     """Another target of a program that is a :class:`coopqp.ServoPath`."""
 
     goal: pin.SE3
-    waits = "the object brakes before it goes over to its new target"
+    call, waits = "retarget", "the object brakes before it goes over to its new target"
 
     def attempt(self, operator: Any) -> bool:
         """See :class:`Change`."""
@@ -62,10 +89,30 @@ class Target(Change):
 @final
 @dataclass(frozen=True, eq=False)
 class Travel(Change):
-    """To a clock of the program, in either direction, and rest there; ``to`` None: on to the end of the program."""
+    """To a clock of the program, in either direction, and rest there; ``to`` None: on to the end of the program.
+
+    Attributes:
+        to: the clock [s].
+        back: it may not lie ahead.
+    """
 
     to: float | None
+    back: bool = False
     waits = "the object brakes before it goes the other way"
+
+    @property
+    def call(self) -> str:  # type: ignore[override]
+        """See :class:`Change`."""
+        return "reverse" if self.back else "forward" if self.to is None else "run_to"
+
+    def check(self, program: ObjectPath, clock: float) -> None:
+        """See :class:`Change`."""
+        if self.to is None:
+            return
+        on_program(program, self.to, "reverse: to" if self.back else "run_to: clock")
+        if self.back and self.to > clock:
+            what = f"{self.to:g} s lies ahead"
+            raise InvalidInputError(what, "reverse: to", "Give an earlier clock, or call run_to.")
 
     def attempt(self, operator: Any) -> bool:
         """See :class:`Change`."""
@@ -98,7 +145,14 @@ class Shift(Change):
 
     shift: pin.SE3
     over: float
-    waits = "the object brakes before its path is shifted"
+    call, waits = "shift_path", "the object brakes before its path is shifted"
+
+    def check(self, program: ObjectPath, clock: float) -> None:
+        """See :class:`Change`."""
+        if isinstance(program, ServoPath):
+            raise InvalidInputError("the path is a ServoPath", "shift_path", "Move its target: retarget.")
+        if clock >= GuardedPath(program).duration:
+            raise InvalidInputError("the object is at the end of its path", "shift_path", "Shift it before.")
 
     def attempt(self, operator: Any) -> bool:
         """See :class:`Change`."""
@@ -132,8 +186,8 @@ class Jog(Change):
     twist: Array
     arm: int = -1
     holds_for: float = 0.1
+    call, by_hand = "jog", True
     waits = "the object comes to rest before the operator leads it"
-    by_hand = True
 
     def attempt(self, operator: Any) -> bool:
         """See :class:`Change`."""
@@ -166,8 +220,8 @@ class Follow(Change):
     """Go where the hand leads that is engaged."""
 
     holds_for = HAND_SILENCE
+    call, by_hand = "engage", True
     waits = "the object comes to rest before the operator leads it"
-    by_hand = True
 
     def attempt(self, operator: Any) -> bool:
         """See :class:`Change`."""
@@ -187,8 +241,8 @@ class Follow(Change):
 class Return(Change):
     """Back to the program on a straight way; then it goes on where it was."""
 
+    call, by_hand = "return_to_path", True
     waits = "the object brakes before it goes back to its path"
-    by_hand = True
 
     def attempt(self, operator: Any) -> bool:
         """See :class:`Change`."""

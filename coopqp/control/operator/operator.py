@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import Any, final
 
 import numpy as np
@@ -19,6 +19,7 @@ from coopqp.control.operator.trail import Trail
 from coopqp.control.operator.way import Way
 from coopqp.control.options import QPOptions
 from coopqp.control.retargeting import object_rests, retarget_motion
+from coopqp.errors import said
 from coopqp.model.cell import RobotCell
 from coopqp.model.chain import Chain
 from coopqp.model.grasp import Grasp
@@ -33,6 +34,8 @@ from coopqp.spatial import Array
 
 #: Calls that are remembered until they are read: a recorder reads them in every step, and without one nobody does.
 _MOST_EVENTS = 100
+#: Name of an event: a call that could not be made in its step.
+REFUSED = "refused"
 #: Length of the way to a gate at which the object is already [s].
 _GATE_WAY = 1e-3
 #: The same jog command takes no new way while its old one is straight for so long [s]; twists are the same that differ
@@ -262,7 +265,12 @@ class Operator:
         return None if self.trail is None else self.trail.back(self.clock)
 
     def ask(self, change: Change) -> None:
-        """Make a change now, or as soon as it is admissible; it takes the place of one that waits."""
+        """Make a change now, or as soon as it is admissible; it takes the place of one that waits.
+
+        Raises:
+            InvalidInputError: it cannot be made where the object is now; the one that waits goes on to wait.
+        """
+        change.check(self.way.program, self.clock)
         waits = self._brakes and self.wanted is not None and self.wanted.by_hand and change.by_hand
         self.returns = False
         if not isinstance(change, Follow):
@@ -290,7 +298,12 @@ class Operator:
         self._let_go()
         if not isinstance(wanted, Target) and self._loop.status in _STOPPED:
             return
-        if wanted.attempt(self):
+        try:
+            made = wanted.attempt(self)
+        except BaseException:
+            self.wanted = None
+            raise
+        if made:
             if self.wanted is wanted:
                 self.wanted = None
             self.rein()
@@ -384,28 +397,32 @@ class Operator:
         """
         loop, old, rests = self._loop, self.way, self.rests
         self._note_travels()
-        rate, memory = loop.rate, loop.memory()
-        if same:
-            loop.follow(way.path, way)
-            loop.restore(memory)
-            self.way = way
-            return True
-        if rests:
-            self._follow(way, clock, self._first_rate(way, clock))
-            return True
-        kept_so_far, _ = loop.try_step()
-        loop.restore(memory)
-        self._follow(way, clock, rate)
-        fresh = loop.memory()
-        kept, change = loop.try_step()
-        if kept >= kept_so_far - RATE_TOLERANCE and self._ramp_time.admits(change):
-            loop.restore(fresh)
-            return True
-        loop.follow(old.path, old)
-        loop.restore(memory)
-        self.way = old
-        self.looks_in = 1
-        return False
+        rate, memory, taken = loop.rate, loop.memory(), False
+        try:
+            if same:
+                loop.follow(way.path, way)
+                loop.restore(memory)
+                self.way = way
+                taken = True
+            elif rests:
+                self._follow(way, clock, self._first_rate(way, clock))
+                taken = True
+            else:
+                kept_so_far, _ = loop.try_step()
+                loop.restore(memory)
+                self._follow(way, clock, rate)
+                fresh = loop.memory()
+                kept, change = loop.try_step()
+                taken = kept >= kept_so_far - RATE_TOLERANCE and self._ramp_time.admits(change)
+                if taken:
+                    loop.restore(fresh)
+        finally:
+            if not taken:
+                loop.follow(old.path, old)
+                loop.restore(memory)
+                self.way = old
+                self.looks_in = 1
+        return taken
 
     def _first_rate(self, way: Way, clock: float) -> float:
         """The rate that a path begins with from rest: full where the path itself begins at rest."""
@@ -449,7 +466,14 @@ class Operator:
     # -- steps -----------------------------------------------------------------------------------------------------
 
     def before(self, dt: float) -> None:
-        """What comes ahead of a step of a length [s], where one is not quiet."""
+        """What comes ahead of a step of a length [s], where one is not quiet.
+
+        A change that cannot be made any more, as where a user's path fails, is given up: an event says so.
+        """
+        wanted = self.wanted or self.then
+        self.make("a call" if wanted is None else wanted.call, lambda: self._before(dt))
+
+    def _before(self, dt: float) -> None:
         way, loop = self.way, self._loop
         if self.gear is not None:
             self.gear = self.gear.later(dt)
@@ -553,15 +577,20 @@ class Operator:
 
     # -- events and copies -----------------------------------------------------------------------------------------
 
-    def note(self, call: str, value: Any) -> None:
-        """Remember a call, for recordings."""
-        self._events.append((call, value, self.clock))
+    def make(self, name: str, call: Callable[[], object]) -> None:
+        """Make a call in a step, where nobody waits for an error: what it raises is an event."""
+        try:
+            call()
+        except Exception as error:
+            self.note(REFUSED, f"{name}: {said(error)}", self.clock)
+
+    def note(self, call: str, value: Any, clock: float) -> None:
+        """Remember a call at a clock of the program [s], for recordings."""
+        self._events.append((call, value, clock))
 
     def take_events(self) -> list[tuple[str, Any, float]]:
         """The calls since the last time: name, value and the program's clock at each [s]."""
-        events = list(self._events)
-        self._events.clear()
-        return events
+        return [self._events.popleft() for _ in range(len(self._events))]
 
     def memory(self) -> dict[str, Any]:
         """All that a copy needs; the way may be copied deeply."""

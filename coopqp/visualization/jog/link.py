@@ -15,7 +15,7 @@ from typing import Any, final
 
 from coopqp.control.interface import ControlStep
 from coopqp.drivers.ring import ObjectRing
-from coopqp.errors import CoopqpError
+from coopqp.errors import CoopqpError, said
 from coopqp.simulation.recording.recording import Recording
 from coopqp.visualization.jog.page import JogPage
 from coopqp.visualization.jog.seen import SILENCE, Seen
@@ -157,6 +157,8 @@ class PageLink:
             self._run.call(name, *values, **named)
         except CoopqpError as error:
             self._say(f"refused: {error}")
+        except Exception as error:  # whatever it is, a page that falls silent has to be noticed here
+            self._say(f"failed: {said(error)}")
         self.delays.append(time.monotonic() - sent)
 
     def _say(self, words: str) -> None:
