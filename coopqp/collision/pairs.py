@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import difflib
 import json
-from collections.abc import Collection, Iterable, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, final
@@ -21,7 +21,8 @@ class PairRules:
     """Rules that leave pairs out: bodies that touch by design, or cannot meet.
 
     Attributes:
-        apart: least number of joints between two links of one arm whose distance counts.
+        apart: least number of joints between two links of one arm whose distance counts. A link that is fixed to the
+            world is of all arms of its robot on whose way to the tool it lies, and of all if it lies on none.
         object_apart: least number of joints between the object and a link of an arm that holds it, for their distance
             to count. The link at the grasp has 0.
     """
@@ -36,10 +37,17 @@ class PairRules:
 
 @final
 class Names:
-    """The names of the bodies of a scene, and what patterns stand for them: a body, all links of an arm, ``"*"``."""
+    """The names of the bodies of a scene, and what patterns stand for them: a body, all links of an arm, ``"*"``.
 
-    def __init__(self, names: Collection[str], arms: Sequence[str]) -> None:
-        self.names, self._arms = tuple(dict.fromkeys(names)), arms
+    ``copies`` are names that some bodies have beside their own.
+    """
+
+    def __init__(self, names: Collection[str], arms: Sequence[str], copies: Mapping[str, str] | None = None) -> None:
+        self.names, self._arms, self.copies = tuple(dict.fromkeys(names)), arms, copies or {}
+
+    def pair(self, first: str, second: str) -> frozenset[str]:
+        """A pair of bodies, by their own names."""
+        return frozenset((self.copies.get(first, first), self.copies.get(second, second)))
 
     def matching(self, pattern: Any, where: str) -> frozenset[str]:
         """The bodies that a pattern stands for.
@@ -66,7 +74,7 @@ class Names:
         for entry in patterns:
             first, second = as_pair(entry, where)
             others = self.matching(second, where)
-            found |= {frozenset((a, b)) for a in self.matching(first, where) for b in others}
+            found |= {self.pair(a, b) for a in self.matching(first, where) for b in others}
         return found
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -20,6 +21,7 @@ from coopqp.collision.distances import Distances, core_shapes
 from coopqp.collision.edges import edges_of
 from coopqp.collision.evasion import evading_trajectory
 from coopqp.collision.gaps import ObjectGaps
+from coopqp.collision.one_robot import OneRobot
 from coopqp.collision.pairs import Names, PairRules, as_pair, srdf_pairs
 from coopqp.collision.path_check import check_clearance
 from coopqp.errors import InvalidInputError, UnknownNameError, shown
@@ -57,7 +59,8 @@ class CollisionScene:
         moving: bodies in the world whose place is told in motion (:meth:`Clearance.move`).
         on_links: further bodies on links ``arm/link``, placed in the link's frame, e.g. a gripper's capsule.
         without: links whose own shapes are left out, e.g. because ``on_links`` replaces them.
-        srdf: for arms by name an SRDF, a file or its text: pairs that it disables are left out.
+        srdf: for arms by name an SRDF, a file or its text: pairs that it disables are left out, also those across arms of
+            one description.
         rules: which pairs are left out because they touch by design.
         margin: distance that is kept [m].
         margins: other margins for pairs of names [m].
@@ -247,7 +250,9 @@ def _build(scene: CollisionScene) -> BuiltScene:
         shape = pin.GeometryObject(f"{i}: {part.name}", part.joint, part.T_joint_shape, part.geometry)
         shape.parentFrame = part.frame
         geometry.addGeometryObject(shape)
-    pairs = _pairs(scene, parts)
+    one_robot = OneRobot(scene.cell)
+    known = Names([part.name for part in parts], scene.cell.arm_names, one_robot.copies(parts))
+    pairs = _pairs(scene, parts, one_robot, known)
     levers_of = Levers(scene.cell, parts)
     kinds, reach = np.zeros((len(pairs), scene.cell.nv)), np.zeros((len(pairs), scene.cell.nv))
     for row, (i, j) in enumerate(pairs):
@@ -261,7 +266,6 @@ def _build(scene: CollisionScene) -> BuiltScene:
     ]
     names = tuple(part.name for part in parts)
     labels = tuple((names[i], names[j]) for i, j in pairs)
-    known = Names(names, scene.cell.arm_names)
     margins, inside = np.full(len(pairs), scene.margin), known.pairs(scene.inside, "CollisionScene: inside")
     for pair, margin in scene.margins.items():
         meant = known.pairs([pair], "CollisionScene: margins")
@@ -358,15 +362,21 @@ def _one_chain(a: str, b: str, robot_of: dict[str, str]) -> bool:
     return bool(a) and (a == b or robot_of.get(a) == b or robot_of.get(b) == a)
 
 
-def _pairs(scene: CollisionScene, parts: Sequence[Part]) -> list[tuple[int, int]]:
-    """Numbers of the parts that keep a distance. What is on the world is one body, but for bodies that move."""
+def _pairs(scene: CollisionScene, parts: Sequence[Part], one_robot: OneRobot, known: Names) -> list[tuple[int, int]]:
+    """Numbers of the parts that keep a distance. What is on the world is one body, but for bodies that move.
+
+    Parts that no driven joint moves to each other keep none: nothing that the arms do changes it.
+    """
     cell, model = scene.cell, scene.cell.model
-    known = Names([part.name for part in parts], cell.arm_names)
     left_out = known.pairs(scene.ignored, "CollisionScene: ignored")
     for arm, source in scene.srdf.items():
         cell.index(arm)
         names = srdf_pairs(source, f"CollisionScene: srdf of arm '{arm}'")
-        left_out |= {frozenset((f"{arm}/{a}", f"{arm}/{b}")) for a, b in names}
+        before = list(itertools.product(one_robot.names_of(arm), repeat=2))
+        left_out |= {known.pair(f"{x}/{a}", f"{y}/{b}") for a, b in names for x, y in before}
+    owners = [one_robot.owners(part) for part in parts]
+    driven = frozenset(int(j) for tool in cell.tool_joints for j in model.supports[tool])
+    carriers = [frozenset(joints_to(model, part.joint)) & driven for part in parts]
     depth = [len(joints_to(model, part.joint)) for part in parts]
     arm_of = [model.frames[part.frame].name.partition("/")[0] if part.frame else "" for part in parts]
     robot_of = {name: arm.robot for name, arm in zip(cell.arm_names, cell.arms, strict=True) if arm.shared}
@@ -377,7 +387,9 @@ def _pairs(scene: CollisionScene, parts: Sequence[Part]) -> list[tuple[int, int]
             b = parts[j]
             if (a.joint == b.joint and not (a.object ^ b.object)) or a.name == b.name:
                 continue
-            if frozenset((a.name, b.name)) in left_out:
+            if carriers[i] == carriers[j] and not (a.object ^ b.object or a.moving or b.moving):
+                continue
+            if a.name in known.copies or b.name in known.copies or known.pair(a.name, b.name) in left_out:
                 continue
             if a.object or b.object:
                 link = j if a.object else i
@@ -389,7 +401,9 @@ def _pairs(scene: CollisionScene, parts: Sequence[Part]) -> list[tuple[int, int]
                     continue
                 if own and holds[arm_of[link]] - depth[link] < scene.rules.object_apart:
                     continue
-            elif _one_chain(arm_of[i], arm_of[j], robot_of) and abs(depth[i] - depth[j]) < scene.rules.apart:
+            elif abs(depth[i] - depth[j]) < scene.rules.apart and (
+                _one_chain(arm_of[i], arm_of[j], robot_of) or arm_of[i] in owners[j] or arm_of[j] in owners[i]
+            ):
                 continue
             found.append((i, j))
     return found
