@@ -59,8 +59,8 @@ class CollisionScene:
         moving: bodies in the world whose place is told in motion (:meth:`Clearance.move`).
         on_links: further bodies on links ``arm/link``, placed in the link's frame, e.g. a gripper's capsule.
         without: links whose own shapes are left out, e.g. because ``on_links`` replaces them.
-        srdf: for arms by name an SRDF, a file or its text: pairs that it disables are left out, also those across arms of
-            one description.
+        srdf: for arms by name an SRDF, a file or its text: pairs that it disables are left out, across arms
+            of one description, too.
         rules: which pairs are left out because they touch by design.
         margin: distance that is kept [m].
         margins: other margins for pairs of names [m].
