@@ -19,10 +19,11 @@ from coopqp.errors import InvalidInputError, printable
 if TYPE_CHECKING:
     from coopqp.drivers.driver import RobotDriver
     from coopqp.drivers.loop import ControlLoop
+    from coopqp.drivers.report import LoopReport
     from coopqp.files.cellfile.build import CellRun
     from coopqp.visualization.jog.link import PageLink
 
-_OK, _REFUSED, _FAILED, _INTERRUPTED = 0, 3, 4, 130
+_OK, _REFUSED, _FAILED = 0, 3, 4
 #: How often it is looked whether the arms wait for something [s].
 _LOOKS_EVERY = 0.1
 #: How long states are read before a dry run [s].
@@ -42,9 +43,9 @@ def add_drive(commands: Any) -> None:
         description="Drive the robots of a cell file, table [drivers], along its path. Without --enable nothing is "
         "sent: it reads their states for two seconds, runs the path in simulation in real time, and says what would be "
         "refused. It is no safety function: the robots' own safety controllers stay in charge.",
-        epilog="Exit status: 0 if the run finished, or if nothing would be refused; 4 if the run did not finish; 3 if "
-        "the cell is refused; 2 for bad input; 130 for Ctrl-C, which brakes all arms together. A second Ctrl-C stops "
-        "every driver at once.",
+        epilog="Exit status: 0 if the run finished, on the robots or in simulation; 4 if it did not; 3 if the cell is "
+        "refused; 2 for bad input; 130 for Ctrl-C and 143 for SIGTERM, which brake all arms together. A second one "
+        "stops every driver at once.",
     )
     parser.add_argument("cell", type=Path, metavar="CELL", help="cell file (.toml or .yaml)")
     parser.add_argument("--driver", choices=("sim", "engine"), help="this for every robot, in place of the file's")
@@ -135,13 +136,17 @@ def _dry_run(run: CellRun, drivers: dict[str, RobotDriver], speed: float) -> int
     refused = loop.refused()
     _print_states(run, loop)
     refused += _far_from_start(run, loop)
-    late = _in_simulation(run, loop, speed) if not refused else ""
-    if late:
-        print(late)
     for line in refused:
         say("refused:", line)
-    print("nothing was sent; " + ("the cell would be refused" if refused else "nothing would be refused"))
-    return _REFUSED if refused else _OK
+    if refused:
+        print("nothing was sent; the cell would be refused")
+        return _REFUSED
+    report = _in_simulation(run, loop, speed)
+    print("in simulation, in real time: " + "\n  ".join(report.lines()))
+    if not report.finished:
+        say("failed:", f"in simulation the run did not finish: {report.reason}")
+    print("nothing was sent; nothing would be refused" + ("" if report.finished else ", but the run would not finish"))
+    return _OK if report.finished else _FAILED
 
 
 def _print_states(run: CellRun, loop: ControlLoop) -> None:
@@ -199,8 +204,8 @@ def _far_from_start(run: CellRun, loop: ControlLoop) -> list[str]:
     return []
 
 
-def _in_simulation(run: CellRun, loop: ControlLoop, speed: float) -> str:
-    """Run the path on robots simulated in this process, in real time; say how late the loop was."""
+def _in_simulation(run: CellRun, loop: ControlLoop, speed: float) -> LoopReport:
+    """Run the path on robots simulated in this process, in real time."""
     from coopqp.drivers.loop import ControlLoop
     from coopqp.drivers.simulated import SimulatedRobot
     from coopqp.drivers.timing import MonotonicTime
@@ -214,8 +219,7 @@ def _in_simulation(run: CellRun, loop: ControlLoop, speed: float) -> str:
         )  # fmt: skip
     controller: Any = run.controller()
     controller.set_override(speed)
-    report = ControlLoop(controller, robots, time=clock).run()
-    return "in simulation, in real time: " + "\n  ".join(report.lines())
+    return ControlLoop(controller, robots, time=clock).run()
 
 
 # -- with --enable -----------------------------------------------------------------------------------------------------
@@ -296,7 +300,7 @@ def _drive(
         recorder.recording({"scenario": run.scenario.name}).save(arguments.record)
         print_written([arguments.record], quiet=arguments.quiet)
     if seen:
-        return _INTERRUPTED
+        return 128 + seen[0]
     if not report.finished:
         say("failed:", report.reason)
     return _OK if report.finished else _FAILED
@@ -367,7 +371,7 @@ def _waits_told(loop: ControlLoop, *, led: bool) -> Iterator[None]:
 
 @contextlib.contextmanager
 def interrupts(loop: ControlLoop) -> Iterator[list[int]]:
-    """Ctrl-C brakes all arms together; a second one stops every driver at once."""
+    """Ctrl-C and SIGTERM brake all arms together; a second one stops every driver at once. The signals seen."""
     seen: list[int] = []
 
     def handle(number: int, frame: Any) -> None:
@@ -378,11 +382,12 @@ def interrupts(loop: ControlLoop) -> Iterator[list[int]]:
         loop.stop_drivers()
         raise KeyboardInterrupt
 
-    before = signal.signal(signal.SIGINT, handle)
+    before = {number: signal.signal(number, handle) for number in (signal.SIGINT, signal.SIGTERM)}
     try:
         yield seen
     finally:
-        signal.signal(signal.SIGINT, before)
+        for number, handler in before.items():
+            signal.signal(number, handler)
 
 
 COMMANDS = (add_drive,)

@@ -33,6 +33,7 @@ class BagRecorder:
 
     The loop only copies its numbers into shared memory. When the writer is killed, or its disk is full, the loop goes
     on, and :meth:`close` says how much is missing. Joints have the names ``arm/joint``; what is not measured is NaN.
+    Stamps are of the machine's clock since the epoch, as other bags have them.
 
     Args:
         joint_names: of the cell.
@@ -49,6 +50,7 @@ class BagRecorder:
         check_bag(self.folder)
         self._n = len(joint_names)
         self._closed: tuple[int, str] | None = None
+        self._epoch: float | None = None
         self._ring = RowRing(1 + 2 * self._n, _SLOTS)
         settings = {"ring": self._ring.handle, "joints": list(joint_names), "folder": str(self.folder)}
         self.process = subprocess.Popen(
@@ -65,7 +67,9 @@ class BagRecorder:
     def take(self, moment: float, measured: Array, sent: Array, step: ControlStep, clock: float) -> None:
         """One period."""
         row, n = self._ring.row(), self._n
-        row[0], row[1 : 1 + n], row[1 + n :] = moment, measured, sent
+        if self._epoch is None:  # the loop's clock begins anywhere
+            self._epoch = time.time() - moment
+        row[0], row[1 : 1 + n], row[1 + n :] = self._epoch + moment, measured, sent
         self._ring.push()
 
     def close(self) -> tuple[int, str]:

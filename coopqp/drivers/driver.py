@@ -77,6 +77,9 @@ class RobotDriver(Protocol):
             and then learnt.
         delay: time until a command has its first effect, beside the lag [s].
         commands: what it takes.
+
+    A driver may have the attribute ``claims`` as well: texts that name what it alone reads or commands, as "the robot
+    at 10.0.0.2". Two drivers of a cell that claim the same are refused.
     """
 
     joint_names: tuple[str, ...]

@@ -83,6 +83,7 @@ class FrankaDriver(ProcessDriver):
             raise InvalidInputError("no address", "FrankaDriver", "Give that of the robot.")
         needed("pylibfranka", "franka", "pylibfranka")
         super().__init__(names, "coopqp.drivers.franka", asdict(o), start=_START)
+        self.claims = (f"the robot at {o.address}",)
         self.period, self.lag, self.delay = _EVERY * _PERIOD, o.lag, o.delay
 
 

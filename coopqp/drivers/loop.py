@@ -30,6 +30,7 @@ from coopqp.drivers.start import begin, connect, stand, tell_targets, unready
 from coopqp.drivers.timing import LoopTime, MonotonicTime
 from coopqp.drivers.watch import RobotWatch
 from coopqp.errors import InvalidInputError
+from coopqp.model.state import CellState
 from coopqp.spatial import Array, as_placement
 
 #: All arms rest this long before a stop counts [s].
@@ -38,8 +39,15 @@ _SETTLED = 0.1
 _ARRIVED = 1e-4
 #: At the end of the path the arms are brought to rest from this speed [rad/s or m/s].
 _SLOW_END = 1e-3
+#: A robot whose states leap by more than this share of its speed limits is none; by more than the second, it may be.
+_LEAPS, _MAY_LEAP = 1.0, 0.05
+#: The run ends where the arms stand for this time on a way that goes on, and less than this of it was gone [s].
+_STANDSTILL, _GONE = 5.0, 1e-3
 #: Every how many periods the distance of the arms is looked at.
 _LOOK = 10
+
+
+_ANOTHER = "does another robot tell joints of the same names?"
 
 
 @final
@@ -159,7 +167,7 @@ class ControlLoop(LoopCalls):
         connect(self.watches, self._time, longest=self.options.connect_time, period=self.period)
         return [
             *refusals(self.controller, self.robots, period=self.period, tells_target=tell_targets(self.watches)),
-            *unready(self.watches, wrenches=self._wrenches),
+            *unready(self.cell, self.watches, wrenches=self._wrenches),
         ]
 
     def _start(self) -> None:
@@ -168,7 +176,9 @@ class ControlLoop(LoopCalls):
         if said:
             raise DriverError("not driven: " + " ".join(said))
         o = self.options
-        readings, targets = stand(self.cell, self.watches, self._time, rest_time=o.rest_time, period=self.period)
+        readings, targets = stand(
+            self.cell, self.watches, self._time, rest_time=o.rest_time, period=self.period, tolerance=o.start_tolerance
+        )
         first = self._last_q = begin(self.controller, self.watches, readings, targets, tolerance=o.start_tolerance)
         self._motion = SharedMotion(
             self.cell, self.robots, first, clock=0.0, command_period=self.controller.dt, period=self.period,
@@ -209,7 +219,7 @@ class ControlLoop(LoopCalls):
         self._seen = np.zeros(self.cell.nv)
         self._off, self._measured = np.zeros(self.cell.nv), np.full(self.cell.nv, np.nan)
         self._statuses: Counter[str] = Counter()
-        self._finish, self._still, self._settled, self._stops = math.inf, 0.0, 0.0, 0
+        self._finish, self._still, self._settled, self._short, self._stops = math.inf, 0.0, 0.0, 0.0, 0
         self._arrived = math.nan
         self._missing: Counter[str] = Counter()
         self._looks: list[Array] = []
@@ -217,6 +227,7 @@ class ControlLoop(LoopCalls):
         self._force, self._slowest, self._standing = math.nan, 1.0, False
         self._moved = self._rested = False
         self._now = self._ramp = began = time.now()
+        self._gone = began, 0.0
         self._ramp_time = self.options.ramp_time
         self._beaten = max(self._beaten, began)
         deadline, periods, missed, late = began, 0, 0, []
@@ -272,6 +283,7 @@ class ControlLoop(LoopCalls):
                 self._seat()
         else:
             self._settled = 0.0
+        self._end_standstill(now)
         self._still = self._still + self.period if self._holds() else 0.0
         if self._still > self.options.give_up_after and self._step is not None:
             self._end(self._step.explain(), failed=True)
@@ -284,6 +296,24 @@ class ControlLoop(LoopCalls):
             outside.call(name, recorder.take, self._now, self._measured, sent, step, clock)
         for show in self.shows:
             outside.call(name_of(show), show, step)
+
+    def _end_standstill(self, now: float) -> None:
+        """End a run in which robots' states leap, or whose arms wait for one of them and do not go on."""
+        motion = self._motion
+        assert motion is not None
+        k = int(np.argmax(motion.leaps))
+        if motion.leaps[k] > _LEAPS:
+            name = self.robots[k].name
+            self._end(f"the states of robot '{name}' leap faster than it can move: {_ANOTHER}", failed=True)
+        if self._ending or self._standing or abs(motion.shared.sigma - self._gone[1]) > _GONE:
+            self._gone = now, motion.shared.sigma
+        elif now - self._gone[0] > _STANDSTILL:
+            behind = self.robots[motion.law.slowest].name
+            leaps = motion.leaps[motion.law.slowest] > _MAY_LEAP
+            why = f"; its states leap from place to place: {_ANOTHER}" if leaps else ""
+            self._end(
+                f"the arms stood for {_STANDSTILL:g} s, as robot '{behind}' is not where it is sent{why}", failed=True
+            )
 
     def _holds(self) -> bool:
         """Whether the controller does not go on by itself; behind a robot that stopped it is not asked."""
@@ -410,8 +440,35 @@ class ControlLoop(LoopCalls):
             if np.abs(rest).max() < _ARRIVED:
                 self._arrived = self._now
         if motion.play_out.parameter >= self._finish and motion.speed() < _SLOW_END:
-            self._end("the object is at the end of its path", failed=False)
+            short = self._short_of_end()
+            self._short = self._short + self.period if short else 0.0
+            if not short:
+                self._end("the object is at the end of its path", failed=False)
+            elif self._short > self.options.give_up_after:
+                self._end(short, failed=True)
+        else:
+            self._short = 0.0
         return False
+
+    def _short_of_end(self) -> str:
+        """Why the object is not at the end of its path, by the last step and by what is measured; empty if it is."""
+        step, motion, o = self._step, self._motion, self.options
+        assert step is not None
+        assert motion is not None
+        if step.status is Status.OFF_PATH:
+            return step.explain()
+        if np.isnan(self._measured).any():
+            return "where the arms stand at the end of the path is not known"
+        stands, wanted = (CellState(self.cell, self.cell.configuration_of(x)) for x in (self._measured, motion.sent))
+        for k, arm in enumerate(self.cell.arm_names):
+            away = wanted.T_world_tool[k].actInv(stands.T_world_tool[k])
+            far, turned_by = (float(np.linalg.norm(part)) for part in (away.translation, pin.log3(away.rotation)))
+            if far > o.end_tolerance_m or turned_by > o.end_tolerance_rad:
+                return (
+                    f"the path is at its end, but the tool of arm {arm} stands {1e3 * far:.1f} mm and "
+                    f"{np.rad2deg(turned_by):.2f}° from where it is sent, as measured"
+                )
+        return ""
 
     @property
     def _tools_move(self) -> bool:

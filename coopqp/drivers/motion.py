@@ -26,6 +26,8 @@ _SLOW = 5e-3
 #: A robot that is no further off its place along the way than its joints together travel in this time at their largest
 #: speeds is not late [s].
 RESOLUTION = 1e-4
+#: Leaps between states are averaged over this time [s], and one counts as this share of the speed limits at most.
+_LEAPS, _ONE_LEAP = 0.5, 10.0
 #: Periods of the history of the shared clock.
 _HISTORY = 1024
 
@@ -51,6 +53,8 @@ class SharedMotion:
         lag: lag of each robot, as told or learnt so far (robots,) [s].
         sent, before: the commands of the last period and of the one before (nv,) [rad or m].
         lateness: of each robot along the way (robots,) [s]; NaN while it is not known.
+        leaps: by how much faster each robot's joints go from state to state than it says, as a share of their speed
+            limits: the mean of the last half second (robots,).
     """
 
     def __init__(
@@ -80,7 +84,10 @@ class SharedMotion:
         self._learning = np.full(n, options.learning_time)
         #: By how much what a robot tells as its target is behind what it is sent, where that is learnt [s].
         self.target_lag = np.zeros(n)
-        self.play_out = PlayOut(x, lag=self.joints(self.lag), delay=self.joints(delay), period=period, **limits)
+        self.play_out = PlayOut(
+            x, lag=self.joints(self.lag), delay=self.joints(delay), period=period, lower=cell.limits.lower,
+            upper=cell.limits.upper, **limits,
+        )  # fmt: skip
         self.law = FollowSlowest(n, period=period)
         self._lead = lead
         self._wait = lead + float(delay.max(initial=0.0))
@@ -90,6 +97,8 @@ class SharedMotion:
         #: The rate at which each robot goes along the way, and where it was seen last, at what time.
         self._own = np.zeros(n)
         self._seen: list[tuple[float, Array] | None] = [None] * n
+        self.leaps = np.zeros(n)
+        self._told: list[RobotState | None] = [None] * n
         self._learnt = False
         self._times = np.full(_HISTORY, -np.inf)
         self._past = np.zeros((_HISTORY, 2))
@@ -177,7 +186,19 @@ class SharedMotion:
             moved = turned(self._cell, place - last[1], joints) / (moment - last[0])
             self._own[k] = -_behind(moved, slope, scale, _SLOW)
         self._seen[k] = moment, place.copy()
+        self._find_leaps(k, state)
         return off
+
+    def _find_leaps(self, k: int, state: RobotState) -> None:
+        joints, last = self._robots[k].joints, self._told[k]
+        self._told[k] = state
+        if last is None or not state.stamp > last.stamp:
+            return
+        time, most = state.stamp - last.stamp, self._cell.limits.velocity[joints]
+        came = np.abs(turned(self._cell, state.q - last.q, joints)) / (most * time)
+        says = np.maximum(np.abs(state.velocity), np.abs(last.velocity)) / most
+        leap = min(max(float((came - np.where(np.isfinite(says), says, 0.0)).max()), 0.0), _ONE_LEAP)
+        self.leaps[k] += min(time / _LEAPS, 1.0) * (leap - self.leaps[k])
 
     def _learn(self, k: int, state: RobotState, moment: float, scale: Array) -> None:
         """Learn the lag of a robot, L ẏ = u − y for a first-order one, and that of its target."""

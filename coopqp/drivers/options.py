@@ -51,6 +51,10 @@ class LoopOptions:
     start_tolerance: Annotated[
         float, Doc("largest distance of a first command from where a joint's servo is [rad or m]")
     ] = 5e-3
+    end_tolerance_m: Annotated[
+        float, Doc("a run has finished where each tool is measured this near to where it is sent at the end [m]")
+    ] = 5e-3
+    end_tolerance_rad: Annotated[float, Doc("the same for its turn [rad]")] = 0.0175
     connect_time: Annotated[float, Doc("longest wait for the first states of all robots [s]")] = 2.0
     rest_time: Annotated[float, Doc("how long states are averaged before the start [s]")] = 0.1
     give_up_after: Annotated[
@@ -75,7 +79,15 @@ class LoopOptions:
             object.__setattr__(self, "lead", as_scalar(self.lead, "LoopOptions: lead", open_low=False, high=1.0))
         if self.patience is not None:
             keep_scalars(self, "patience")
-        keep_scalars(self, "gone_after", "start_tolerance", "connect_time", "give_up_after")
+        keep_scalars(
+            self,
+            "gone_after",
+            "start_tolerance",
+            "end_tolerance_m",
+            "end_tolerance_rad",
+            "connect_time",
+            "give_up_after",
+        )
         keep_scalars(self, "ramp_time", "resume_time", "learning_time", "rest_time", "deviation_time", open_low=False)
         keep_scalars(self, "addition", "learning_addition", high=0.5, open_low=False)
         if self.heartbeat is not None:

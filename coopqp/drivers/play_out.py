@@ -21,6 +21,8 @@ LEAST_TIME_CONSTANT = 1e-4
 _CLOSING_TIME = 0.02
 #: With this time t a target is out of reach beyond s a t² [s]; and that in which one within reach is taken up [s].
 _REACH, _UPTAKE = 0.02, 1.0
+#: Position limits are no further than this [rad or m]: a share of 0 of them is 0.
+_FAR = 1e6
 #: Differences that count as rest, in shares of a h².
 _REST = 1e-3
 
@@ -36,14 +38,18 @@ class Addition:
     Args:
         velocity, acceleration: limits of a period (n,): v h and a h² [rad or m].
         period: h [s].
+        lower, upper: limits of the positions (n,) [rad or m]; outside them a joint moves inwards only.
 
     Attributes:
         value: A (n,) [rad or m].
         cut: in how many periods it was cut to what the limits left.
     """
 
-    def __init__(self, velocity: Array, acceleration: Array, period: float) -> None:
+    def __init__(
+        self, velocity: Array, acceleration: Array, period: float, *, lower: float | Array, upper: float | Array
+    ) -> None:
         self._most, self._most_change, self._h = velocity, acceleration, period
+        self._lower, self._upper = np.maximum(lower, -_FAR), np.minimum(upper, _FAR)
         self.cut = 0
         self.rest(np.zeros(len(velocity)))
 
@@ -52,8 +58,15 @@ class Addition:
         self.value, self._step, self._target = value, np.zeros(len(value)), np.zeros(len(value))
         self._mixture_step, self._taken = np.zeros(len(value)), 1.0
 
-    def follow(self, target: Array, mixture_step: Array, share: float, *, fades: bool) -> Array:
-        """Go on by one period, with a share of the limits and a step (n,) of the mixture. Returns the value (n,)."""
+    def follow(self, target: Array, mixture: Array, mixture_step: Array, share: float, *, fades: bool) -> Array:
+        """Go on by one period, with a share of the limits. Returns the value (n,).
+
+        Args:
+            target: T (n,).
+            mixture, mixture_step: m and its last step (n,).
+            share: s, of the limits.
+            fades: whether the value may fade to 0 where the target is out of reach.
+        """
         most, most_change = share * self._most, share * self._most_change
         away = np.abs(self._taken * target - self.value)
         if fades and (away * self._h**2 > _REACH**2 * most_change).any():
@@ -64,9 +77,10 @@ class Addition:
         # Of Ä = (T − A)/τ² + 2 (Ṫ − Ȧ)/τ with the period's end on the right.
         k = self._h / _CLOSING_TIME
         wanted = (self._step + k * k * (self._taken * target - self.value) + 2.0 * k * moves) / (1.0 + k) ** 2
-        # The limits are those of A + s m, for its step and for the change of it.
-        own = share * mixture_step
-        high, low = most - own, -most - own
+        # The limits are those of A + s m, for its step and for the change of it, and where it stands.
+        own, place = share * mixture_step, share * (mixture - mixture_step) + self.value
+        high = np.minimum(most, _largest_step(share * self._upper - place, most_change)) - own
+        low = -np.minimum(most, _largest_step(place - share * self._lower, most_change)) - own
         wanted = wanted * _factor(wanted, low, high)
         turn = own - share * self._mixture_step
         self._mixture_step = mixture_step
@@ -74,10 +88,17 @@ class Addition:
         change = wanted - self._step
         factor = _factor(change, less, more)
         self.cut += int(factor < 1.0)
-        change = np.clip(factor * change, np.maximum(less, low - self._step), np.minimum(more, high - self._step))
+        change = np.clip(np.clip(factor * change, low - self._step, high - self._step), less, more)
         self._step = self._step + change
         self.value = self.value + self._step
         return self.value
+
+
+def _largest_step(room: Array, change: Array) -> Array:
+    """The largest step (n,) after which a brake by ``change`` (n,) a period ends within some room (n,); 0 without."""
+    left = np.maximum(room - 0.125 * change, 0.0)
+    value: Array = 0.5 * (np.sqrt(change * change + 8.0 * change * left) - change)
+    return value
 
 
 def _factor(vector: Array, low: Array, high: Array) -> float:
@@ -96,6 +117,7 @@ class PlayOut:
         lag, delay: of each joint (n,) [s].
         velocity, acceleration: limits (n,).
         period: h [s].
+        lower, upper: limits of the positions (n,) [rad or m]; outside them a joint moves inwards only.
 
     Attributes:
         time_constant: M [s].
@@ -105,11 +127,20 @@ class PlayOut:
     """
 
     def __init__(
-        self, x: Array, *, lag: Array, delay: Array, velocity: Array, acceleration: Array, period: float
+        self,
+        x: Array,
+        *,
+        lag: Array,
+        delay: Array,
+        velocity: Array,
+        acceleration: Array,
+        period: float,
+        lower: float | Array = -np.inf,
+        upper: float | Array = np.inf,
     ) -> None:
         self._h = period
         self._most_change = acceleration * period**2
-        self.addition = Addition(velocity * period, self._most_change, period)
+        self.addition = Addition(velocity * period, self._most_change, period, lower=lower, upper=upper)
         self._low, self.parameter, self.rate = x.copy(), 0.0, 0.0
         self._c = self._last = self._mixture = x.copy()
         wait = float(delay.max(initial=0.0)) - delay
@@ -149,8 +180,9 @@ class PlayOut:
         self.parameter += self._alpha * (sigma - before)
         self.rate = (sigma - self.parameter) / self.time_constant
         wanted = spline.value(self.parameter) + lag * (self.rate * spline.slope(self.parameter))
+        fades = bool((lag == self.lag).all())
         return self._delay(
-            mixture + self.addition.follow(wanted - mixture, mixture - last, share, fades=bool((lag == self.lag).all()))
+            mixture + self.addition.follow(wanted - mixture, mixture, mixture - last, share, fades=fades)
         )
 
     def rests(self) -> bool:

@@ -60,4 +60,13 @@ class MemoryRecorder:
             last = moment, sent, clock
         if rows is None:
             rows = RunRecorder(self._controller, cell.configuration_of(known))
-        return rows.recording({"plant": "robots", "gripped": None, **metadata})
+        return rows.recording({"plant": "robots", "gripped": None, "turns": self._turns(), **metadata})
+
+    def _turns(self) -> dict[str, int]:
+        """Whole turns from (−π, π] at which continuous joints began, by name: configurations do not have them."""
+        cell = self._controller.cell
+        if not self._periods:
+            return {}
+        x = self._periods[0][2]
+        turns = np.rint((x - cell.positions(cell.configuration_of(x))) / (2.0 * np.pi)).astype(int)
+        return {cell.joint_names[j]: int(turns[j]) for j in np.flatnonzero(turns)}

@@ -20,7 +20,7 @@ class LoopReport:
     """A run of a :class:`coopqp.drivers.ControlLoop`.
 
     Attributes:
-        finished: the object reached the end of its path.
+        finished: the object reached the end of its path, and the tools are measured there.
         reason: in a sentence, how it ended.
         time: from the first command to the end [s].
         lost_time: time that each robot cost, by name [s].

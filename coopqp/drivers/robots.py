@@ -76,12 +76,14 @@ def robots_of(cell: RobotCell, drivers: Mapping[str, RobotDriver]) -> tuple[Robo
             ``robot/joint``; or without the name of the driver, or that of an arm of the robot whose name it has.
 
     Raises:
-        InvalidInputError: no driver, a joint that the cell does not have, one with two drivers or with none.
+        InvalidInputError: no driver, a joint that the cell does not have, one with two drivers or with none, or two
+            drivers of one robot or of the same joints on one topic.
     """
     if not isinstance(drivers, Mapping) or not drivers:
         raise InvalidInputError("no drivers", "ControlLoop: drivers", "Give a mapping from arm to driver.")
     found: list[Robot] = []
     owner: dict[str, str] = {}
+    claimed: dict[str, str] = {}
     for name, driver in drivers.items():
         where = f"ControlLoop: driver '{name}'"
         missing = [m for m in _METHODS if not callable(getattr(driver, m, None))]
@@ -102,6 +104,14 @@ def robots_of(cell: RobotCell, drivers: Mapping[str, RobotDriver]) -> tuple[Robo
                 )
             owner[full] = name
             joints.append(cell.joint_names.index(full))
+        for claim in getattr(driver, "claims", ()):
+            if claim in claimed:
+                raise InvalidInputError(
+                    f"{claim}: the driver '{claimed[claim]}' has the same",
+                    where,
+                    "Give each robot an address, or topics, or a joint_prefix of its own.",
+                )
+            claimed[claim] = name
         index = np.array(joints, dtype=np.intp)
         found.append(Robot(name, driver, index, arms_of(cell, index)))
     none = [joint for joint in cell.joint_names if joint not in owner]

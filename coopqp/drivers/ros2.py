@@ -94,6 +94,12 @@ class Ros2Driver(ProcessDriver):
         require_cyclone()
         super().__init__(names, "coopqp.drivers.ros2", {**asdict(o), "joints": names}, start=_START)
         self.period, self.lag, self.delay = o.period, o.lag, o.delay
+        joints = [o.joint_prefix + name for name in names]
+        commands = [f"joint '{joint}' of {o.command_topic}" for joint in joints]
+        claims = [f"joint '{joint}' of {o.states_topic}" for joint in joints]
+        claims += commands if o.sends == "trajectory" else [f"the commands of {o.command_topic}"]
+        claims += [f"the wrenches of {o.wrench_topic}"] if o.wrench_topic else []
+        self.claims = tuple(f"{claim} in domain {o.domain}" for claim in claims)
 
 
 @final

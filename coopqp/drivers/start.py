@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from typing import Any
 
@@ -13,6 +14,9 @@ from coopqp.drivers.timing import LoopTime
 from coopqp.drivers.watch import RobotWatch
 from coopqp.model.cell import RobotCell, slides
 from coopqp.spatial import Array
+
+#: A joint that stands this far outside its limits is led inwards; one that stands further is not driven [rad or m].
+OUTSIDE = 2e-3
 
 
 def connect(watches: Sequence[RobotWatch], time: LoopTime, *, longest: float, period: float) -> None:
@@ -45,10 +49,11 @@ def tell_targets(watches: Sequence[RobotWatch]) -> bool:
     return all(watch.state is not None and watch.state.target is not None for watch in watches)
 
 
-def unready(watches: Sequence[RobotWatch], *, wrenches: bool) -> list[str]:
+def unready(cell: RobotCell, watches: Sequence[RobotWatch], *, wrenches: bool) -> list[str]:
     """Why robots are not driven as they are, a sentence each; ``wrenches``: the controller needs them."""
     said = []
     for watch in watches:
+        said += _outside(cell, watch)
         if watch.condition() in STANDS:
             said.append(f"robot '{watch.robot.name}' says {watch.condition().value}. Release it first.")
         name, arms = watch.robot.name, watch.robot.arms
@@ -65,11 +70,49 @@ def unready(watches: Sequence[RobotWatch], *, wrenches: bool) -> list[str]:
     return said
 
 
+def _outside(cell: RobotCell, watch: RobotWatch) -> list[str]:
+    """The joint of a robot that stands furthest outside its limits, by more than a servo's inexactness."""
+    joints, state = watch.robot.joints, watch.state
+    if state is None:
+        return []
+    lower, upper = cell.limits.lower[joints], cell.limits.upper[joints]
+    x = state.q if state.target is None else np.array([state.q, state.target])
+    excess = np.atleast_2d(np.maximum(lower - x, x - upper)).max(axis=0)
+    k = int(np.argmax(excess))
+    if not excess[k] > OUTSIDE:
+        return []
+    j, out, where = joints[k], float(excess[k]), float(state.q[k])
+    inward = -1.0 if where > upper[k] else 1.0
+    turns = 0 if slides(cell)[j] else math.ceil(max(out - OUTSIDE, 0.0) / math.tau)
+    inside = turns and lower[k] <= where + inward * turns * math.tau <= upper[k]
+    by_turns = f", {turns} whole turn{'s' * (turns > 1)} from inside them" if inside else ""
+    amount, limits = (
+        (f"{1e3 * out:.1f} mm", f"{lower[k]:.3f} to {upper[k]:.3f} m")
+        if slides(cell)[j]
+        else (f"{np.rad2deg(out):.2f}°", f"{np.rad2deg(lower[k]):.0f}° to {np.rad2deg(upper[k]):.0f}°")
+    )
+    return [
+        f"joint {cell.joint_names[j]} stands {amount} outside its limits of {limits}{by_turns}. Move it inside by "
+        "hand, or give the robot's own limits."
+    ]
+
+
 def stand(
-    cell: RobotCell, watches: Sequence[RobotWatch], time: LoopTime, *, rest_time: float, period: float
+    cell: RobotCell,
+    watches: Sequence[RobotWatch],
+    time: LoopTime,
+    *,
+    rest_time: float,
+    period: float,
+    tolerance: float,
 ) -> tuple[list[Array], Array]:
-    """Configurations (nq,) that are measured in a time [s]; and what the servos track (nv,), measured where untold."""
-    readings, targets = [], np.full(cell.nv, np.nan)
+    """Configurations (nq,) that are measured in a time [s]; and what the servos track (nv,), measured where untold.
+
+    Raises:
+        DriverError: a joint is in two places that are further apart than the tolerance [rad or m].
+    """
+    readings, targets, first = [], np.full(cell.nv, np.nan), np.full(cell.nv, np.nan)
+    spread = np.zeros((2, cell.nv))
     until = time.now() + rest_time
     while True:
         now = time.now()
@@ -81,6 +124,18 @@ def stand(
             x[joints] = watch.state.q
             targets[joints] = watch.state.q if watch.state.target is None else watch.state.target
         readings.append(cell.configuration_of(x))
+        first = np.where(np.isnan(first), x, first)
+        away = turned(cell, x - first)
+        spread = np.array([np.minimum(spread[0], away), np.maximum(spread[1], away)])
+        wide = spread[1] - spread[0]
+        if wide.max() > tolerance:
+            j = int(np.argmax(wide))
+            name = next(watch.robot.name for watch in watches if j in watch.robot.joints)
+            unit = "mm" if slides(cell)[j] else "mrad"
+            raise DriverError(
+                f"not driven: robot '{name}' does not stand: joint {cell.joint_names[j]} was in places "
+                f"{1e3 * wide[j]:.1f} {unit} apart. Bring it to rest. Does another robot tell joints of the same names?"
+            )
         if now >= until:
             return readings, targets
         time.sleep_until(now + period)
@@ -91,6 +146,8 @@ def begin(
 ) -> Array:
     """Reset the controller where the robots stand; return its first command (nv,) [rad or m].
 
+    It is counted on from what the servos hold, turn for turn.
+
     Raises:
         DriverError: it is further than the tolerance from where a servo is.
     """
@@ -100,8 +157,8 @@ def begin(
         controller.reset(q, commanded=cell.configuration_of(targets))
     else:
         controller.reset(q)
-    first = cell.positions(getattr(controller, "controller", controller).commanded)
-    away = np.abs(turned(cell, first - targets))
+    moves = turned(cell, cell.positions(getattr(controller, "controller", controller).commanded) - targets)
+    away = np.abs(moves)
     if away.max() > tolerance:
         j = int(np.argmax(away))
         unit = "mm" if slides(cell)[j] else "mrad"
@@ -109,4 +166,5 @@ def begin(
             f"not driven: the first command of joint {cell.joint_names[j]} is {1e3 * away[j]:.1f} {unit} from where "
             f"its servo is, and may be {1e3 * tolerance:.1f}. Move the arms to the start."
         )
+    first: Array = targets + moves
     return first

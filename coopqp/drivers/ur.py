@@ -94,6 +94,7 @@ class UrDriver(ProcessDriver):
         for module in _MODULES:
             needed(module, "ur", "ur_rtde")
         super().__init__(names, "coopqp.drivers.ur", asdict(o), start=_START)
+        self.claims = (f"the robot at {o.address}",)
         self.period, self.delay = o.period, o.delay
         self.lag: float | None = o.lookahead if o.tells_lag else None
 

@@ -77,9 +77,10 @@ class RobotWatch:
 
     def _refusal_of(self, state: RobotState) -> str:
         """Why a state is of no use; empty if it is of use."""
-        n, size = len(self.robot.joints), np.shape(state.q)
-        if size != (n,):
-            return f"positions of shape {size} for {n} joints"
+        n = len(self.robot.joints)
+        for name, value in (("positions", state.q), ("velocities", state.velocity), ("a target", state.target)):
+            if value is not None and np.shape(value) != (n,):
+                return f"{name} of shape {np.shape(value)} for {n} joints"
         if not (np.isfinite(state.q).all() and np.isfinite(state.stamp)):
             return "positions or a stamp that are no numbers"
         if self.state is not None and not state.stamp > self.state.stamp:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import io
 import json
+import math
 import re
 import shutil
 from collections.abc import Iterable, Iterator
@@ -76,9 +77,9 @@ def _parts(cell: RobotCell, recording: Recording, load: LoadUse | None) -> Itera
         units = ["N" if slide else "N_m" for slide in slides(cell)]
         head += [f"{name}.torque_{unit}" for name, unit in zip(cell.joint_names, units, strict=True)] + ["load_share"]
     yield _lines([head])
-    bindings = recording.bindings
+    bindings, joints = recording.bindings, JointPositions(cell, recording)
     for part in recording.parts(len(recording.time)):
-        rows = _rows(cell, recording, bindings, calls, part)
+        rows = _rows(cell, recording, bindings, calls, part, joints)
         if load is not None:
             torques = np.column_stack([load.torques[part], load.share[part]]).tolist()
             rows = ([*row, *more] for row, more in zip(rows, torques, strict=True))
@@ -133,10 +134,11 @@ def _rows(
     bindings: list[tuple[BindingLimit, ...]],
     calls: dict[int, str],
     part: slice,
+    joints: JointPositions,
 ) -> Iterator[list[Any]]:
     """The rows of some samples."""
     readings = read_part(cell, recording, part)
-    measured, commanded = cell.positions(recording.q[part]), cell.positions(recording.q_command[part])
+    measured, commanded = joints(part)
     order = list(Status)
     for k, i in enumerate(range(part.start, part.stop)):
         last = i == recording.n_steps
@@ -173,6 +175,32 @@ def write_csv(
         for text in texts:
             stream.write(text.encode())
     return file
+
+
+class JointPositions:
+    """Joint positions of a recording, part after part: continuous joints are counted on, turn for turn.
+
+    They begin at the turns of the recording's ``turns``, as :class:`coopqp.drivers.MemoryRecorder` notes them, else in
+    (−π, π].
+    """
+
+    def __init__(self, cell: RobotCell, recording: Recording) -> None:
+        self._cell, self._recording = cell, recording
+        turns = recording.metadata.get("turns", {})
+        begin = cell.positions(recording.q_command[0])
+        self._last: Array = begin + math.tau * np.array([turns.get(name, 0) for name in cell.joint_names])
+
+    def __call__(self, part: slice) -> tuple[Array, Array]:
+        """Measured and commanded positions (T, nv) [rad or m] of some samples, which go on from the last part's."""
+        turning = self._cell.continuous
+        measured, commanded = (self._cell.positions(q[part]) for q in (self._recording.q, self._recording.q_command))
+        if turning.any():
+            rows = np.vstack([self._last, commanded])[:, turning]
+            commanded[:, turning] = np.unwrap(rows, axis=0)[1:]
+            pairs = np.stack([commanded, measured])[..., turning]
+            measured[:, turning] = np.unwrap(pairs, axis=0)[1]
+            self._last = commanded[-1].copy()
+        return measured, commanded
 
 
 def knot_velocities(recording: Recording, part: slice = slice(None)) -> Array:
@@ -266,10 +294,11 @@ class Messages:
 
     def all(self) -> Iterator[tuple[int, str, Any]]:
         """(nanoseconds, topic, message)."""
-        recording, cell = self._recording, self._cell
+        recording = self._recording
         pieces, due, calls = self._pieces(), 0, _calls(recording)
+        joints = JointPositions(self._cell, recording)
         for part in recording.parts(len(recording.time)):
-            measured, commanded = cell.positions(recording.q[part]), cell.positions(recording.q_command[part])
+            measured, commanded = joints(part)
             velocities = knot_velocities(recording, part)
             for k, i in enumerate(range(part.start, part.stop)):
                 now = self._start + _nanoseconds(recording.time[i])
@@ -284,17 +313,11 @@ class Messages:
                     yield now, "/operator_calls", self._make("std_msgs/msg/String", data=calls[i])
 
     def _pieces(self) -> Iterator[tuple[slice, Array]]:
-        """Samples and commanded positions of each trajectory, without jumps of a full turn."""
-        recording, turning = self._recording, self._cell.continuous
-        before: Array | None = None
+        """Samples and commanded positions of each trajectory."""
+        recording, joints = self._recording, JointPositions(self._cell, self._recording)
         for begin in range(0, max(recording.n_steps, 1), MAX_TRAJECTORY_STEPS):
             piece = slice(begin, min(begin + MAX_TRAJECTORY_STEPS, recording.n_steps) + 1)
-            positions = self._cell.positions(recording.q_command[piece])
-            if before is not None:
-                positions[0] = before  # the same place, with the turns until then
-            positions[:, turning] = np.unwrap(positions[:, turning], axis=0)
-            before = positions[-1].copy()
-            yield piece, positions
+            yield piece, joints(piece)[1]
 
     def _make(self, kind: str, **fields: Any) -> Any:
         return self.store.types[kind](**fields)

@@ -110,7 +110,7 @@ class ScrewParameters:
     Attributes:
         p: displacement in the initial frame [m], shape (3,).
         r: unit axis in the initial frame, shape (3,); zero when φ* = 0.
-        angle: φ* in [0, π] [rad].
+        angle: φ* ≥ 0 [rad]; at most π between two placements.
     """
 
     p: Array
@@ -129,7 +129,8 @@ class ScrewParameters:
 class LinePath(ObjectPath):
     """The paper's motion, Eqs. (7)–(9): the origin moves on a straight line while the object turns about a fixed axis.
 
-    ``T(τ) = T(0) M(τ)`` with ``M = [Rot(r, u φ*), u p]`` and the time law u.
+    ``T(τ) = T(0) M(τ)`` with ``M = [Rot(r, u φ*), u p]`` and the time law u. Between two placements it turns by the
+    shorter way; :meth:`displaced` turns as told.
 
     Args:
         start, goal: placements of the object in the world.
@@ -140,10 +141,15 @@ class LinePath(ObjectPath):
     def __init__(
         self, start: Placement, goal: Placement, *, duration: float, time_law: TimeLaw | str = TimeLaw.QUINTIC
     ) -> None:
+        T0, T1 = as_placement(start, "LinePath: start"), as_placement(goal, "LinePath: goal")
+        self._set(T0, T1, ScrewParameters.between(T0, T1), duration, time_law)
+
+    def _set(
+        self, start: pin.SE3, goal: pin.SE3, screw: ScrewParameters, duration: float, time_law: TimeLaw | str
+    ) -> None:
         self.duration = as_scalar(duration, "LinePath: duration")
         self.time_law = as_time_law(time_law)
-        self.start, self.goal = as_placement(start, "LinePath: start"), as_placement(goal, "LinePath: goal")
-        self.screw = ScrewParameters.between(self.start, self.goal)
+        self.start, self.goal, self.screw = start, goal, screw
         self._R0, self._p0 = self.start.rotation.copy(), self.start.translation.copy()
         self._line = self._R0 @ self.screw.p
         self._rotation_vector = self.screw.angle * self.screw.r
@@ -161,12 +167,19 @@ class LinePath(ObjectPath):
         duration: float,
         time_law: TimeLaw | str = TimeLaw.QUINTIC,
     ) -> LinePath:
-        """Path from ``start`` by a translation [m] and a rotation vector [rad] about the origin, in world axes."""
+        """Path from ``start`` by a translation [m] and a rotation vector [rad] about the origin, in world axes.
+
+        The object turns as told, also by more than half a turn, for which no goal could ask.
+        """
         T = as_placement(start, "LinePath.displaced: start")
         shift = as_vector(translation, 3, "LinePath.displaced: translation")
         turn = as_vector(rotation, 3, "LinePath.displaced: rotation")
         goal = pin.SE3(pin.exp3(turn) @ T.rotation, T.translation + shift)
-        return LinePath(T, goal, duration=duration, time_law=time_law)
+        path = LinePath.__new__(LinePath)
+        angle = float(np.linalg.norm(turn))
+        r = T.rotation.T @ turn / angle if angle > 0.0 else np.zeros(3)
+        path._set(T, goal, ScrewParameters(T.rotation.T @ shift, r, angle), duration, time_law)
+        return path
 
     def segment(self, start: float) -> Array:
         """The numbers of :meth:`packed` for this line, begun at ``start`` [s] (29,)."""

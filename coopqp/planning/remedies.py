@@ -230,7 +230,11 @@ def shifted(path: ObjectPath, shift: Array) -> ObjectPath:
         return pin.SE3(T.rotation, T.translation + shift)
 
     if type(path) is LinePath:
-        return LinePath(moved(path.start), moved(path.goal), duration=path.duration, time_law=path.time_law)
+        R, screw = path.start.rotation, path.screw  # it may turn by more than half a turn
+        return LinePath.displaced(
+            moved(path.start), translation=R @ screw.p, rotation=screw.angle * (R @ screw.r), duration=path.duration,
+            time_law=path.time_law,
+        )  # fmt: skip
     if type(path) is WaypointPath:
         poses = [moved(segment.start) for segment in path.segments] + [moved(path.segments[-1].goal)]
         durations = [segment.duration for segment in path.segments]

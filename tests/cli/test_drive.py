@@ -55,6 +55,18 @@ def test_a_dry_run_says_what_would_be_refused(quick, capsys, monkeypatch):
     assert main(["drive", str(quick), "--enable", "two_robots"]) == 3
 
 
+def test_a_dry_run_that_does_not_finish_says_so_and_fails(quick, capsys, monkeypatch):
+    from coopqp.cli import drive
+    from coopqp.drivers.loop import ControlLoop
+
+    monkeypatch.setattr(drive, "_READING", 0.05)
+    monkeypatch.setattr(ControlLoop, "_drain", lambda loop: loop._end("out of reach", failed=True))
+    assert main(["drive", str(quick), "--speed", "1"]) == 4
+    out, err = capsys.readouterr()
+    assert "in simulation the run did not finish: out of reach" in err
+    assert out.rstrip().endswith("nothing would be refused, but the run would not finish")
+
+
 @pytest.fixture
 def patient(monkeypatch):
     """The machine of the tests may stall for longer than a robot may."""
@@ -179,7 +191,8 @@ def test_a_stop_that_nobody_can_resume_ends_the_run_and_is_said(quick, capsys):
     assert "a robot has stopped, and all arms stand" in capsys.readouterr().err
 
 
-def test_ctrl_c_in_a_terminal_brakes_together_and_ends_with_130(quick, tmp_path):
+@pytest.mark.parametrize(("number", "status"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
+def test_an_interrupt_brakes_together_and_ends_with_its_status(tmp_path, number, status):
     """A terminal signals the whole group of processes; robots whose processes die of it would stop each by itself."""
     record = tmp_path / "new" / "run.npz"
     with subprocess.Popen(
@@ -189,9 +202,9 @@ def test_ctrl_c_in_a_terminal_brakes_together_and_ends_with_130(quick, tmp_path)
     ) as run:  # fmt: skip
         line = run.stdout.readline()
         assert "the path takes" in line
-        os.killpg(run.pid, signal.SIGINT)
+        os.killpg(run.pid, number)
         rest, errors = run.stdout.read(), run.stderr.read()
-    assert run.returncode == 130
+    assert run.returncode == status
     assert "interrupted" in rest
     assert "Traceback" not in errors
     assert "no step was made" in errors or not Recording.load(record).finished

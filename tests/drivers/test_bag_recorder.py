@@ -8,6 +8,7 @@ import resource
 import signal
 import subprocess
 import threading
+import time
 from multiprocessing import resource_sharer
 from multiprocessing.reduction import ForkingPickler
 
@@ -113,11 +114,17 @@ def test_a_reader_beside_a_writer_sees_whole_rows_and_misses_none_without_counti
 
 @pytest.mark.slow
 def test_every_period_is_in_the_bag(tmp_path):
-    recorder = BagRecorder(JOINTS, tmp_path / "run")
+    recorder, before = BagRecorder(JOINTS, tmp_path / "run"), time.time()
     _take(recorder, 700)
+    after = time.time()
     assert recorder.close() == (0, "")
     with AnyReader([tmp_path / "run"]) as bag:
-        sent = [bag.deserialize(data, c.msgtype) for c, _, data in bag.messages() if c.topic == "/joint_commands"]
+        topic = [
+            (at, bag.deserialize(data, c.msgtype)) for c, at, data in bag.messages() if c.topic == "/joint_commands"
+        ]
+    stamps, sent = 1e-9 * np.array([at for at, _ in topic]), [message for _, message in topic]
+    assert before <= stamps[0] <= after  # since the epoch, whatever the loop's clock shows
+    np.testing.assert_allclose(np.diff(stamps), 0.002, atol=1e-6)
     assert len(sent) == 700
     assert list(sent[5].name) == list(JOINTS)
     np.testing.assert_array_equal([m.position[1] for m in sent], -np.arange(700.0))

@@ -123,8 +123,7 @@ def test_units_follow_the_joints(mixed_run: tuple[RobotCell, Recording]) -> None
     assert f"{slide}.velocity_m_per_s" in table
     turning = cell.joint_names[int(np.flatnonzero(cell.continuous)[0])]
     angles = numbers(table[f"{turning}.position_rad"])
-    assert np.abs(angles).max() <= np.pi
-    assert angles[0] == pytest.approx(3.0)
+    np.testing.assert_allclose(angles, np.linspace(3.0, 4.0, 21))  # without a leap
 
 
 def test_a_recording_without_a_scene_needs_the_cell(run: Recording, paper: Scenario) -> None:
@@ -213,6 +212,15 @@ def test_a_continuous_joint_does_not_jump_back(mixed_run: tuple[RobotCell, Recor
     j = int(np.flatnonzero(cell.continuous)[0]) - cell.v_slices[1].start
     angles = np.array([p.positions[j] for p in message.ros_msg.points])
     np.testing.assert_allclose(angles, np.linspace(3.0, 4.0, 21), atol=1e-12)
+    j += cell.v_slices[1].start
+    for topic in ("/joint_states", "/joint_commands"):
+        angles = np.array([message.ros_msg.position[j] for message in topics[topic]])
+        np.testing.assert_allclose(angles, np.linspace(3.0, 4.0, 21), atol=1e-12)
+    turned = replace(recording, metadata={**recording.metadata, "turns": {cell.joint_names[j]: -2}})
+    table = columns(csv_text(turned))
+    for name in ("position", "command"):  # as a servo that had made two turns back held them
+        angles = numbers(table[f"{cell.joint_names[j]}.{name}_rad"])
+        np.testing.assert_allclose(angles, np.linspace(3.0, 4.0, 21) - 4.0 * np.pi, atol=1e-12)
     assert np.abs(cell.positions(recording.q)).max() <= np.pi
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Callable
 from typing import Any
 
@@ -16,6 +17,7 @@ from coopqp.errors import UnknownNameError
 from coopqp.paths import TimeLaw
 from coopqp.paths.path import ScrewParameters
 from coopqp.paths.time_law import as_time_law
+from coopqp.planning.remedies import shifted
 from coopqp.spatial import adjoint
 
 Array = NDArray[np.float64]
@@ -173,6 +175,23 @@ def test_a_displacement_is_in_the_world_and_about_the_objects_origin(T: pin.SE3,
     close(path.goal.translation, T.translation + shift, 1e-13)
     close(path.goal.rotation, pin.exp3(turn) @ T.rotation, 1e-13)
     close(LinePath.displaced(T, duration=1.0).pose(1.0), T)
+
+
+@pytest.mark.parametrize("degrees", [-720.0, -350.0, -180.0, -170.0, 180.0, 190.0, 360.0, 1000.0])
+def test_a_displacement_turns_as_told_also_beyond_half_a_turn(degrees: float) -> None:
+    start = pin.SE3(pin.exp3(np.array([0.3, -0.2, 0.9])), np.array([0.1, 0.2, 0.3]))
+    axis = np.array([0.6, 0.0, 0.8])
+    path = LinePath.displaced(start, translation=(0, 0, 0.1), rotation=np.deg2rad(degrees) * axis, duration=4.0)
+    moved = shifted(path, np.array([0.0, 1.0, 0.0]))
+    line = path.geometry()
+    assert line is not None
+    for poses in (
+        [path.pose(t).rotation for t in np.linspace(0.0, 4.0, 401)],
+        [moved.pose(t).rotation for t in np.linspace(0.0, 4.0, 401)],
+        [*line.poses(np.linspace(0.0, line.length, 401))[0]],
+    ):
+        turned = sum(axis @ pin.log3(b @ a.T) for a, b in itertools.pairwise(poses))
+        assert np.rad2deg(turned) == pytest.approx(degrees, abs=1e-6)
 
 
 @given(poses, poses)
