@@ -18,12 +18,16 @@ from coopqp.errors import InvalidInputError
 
 Placement: TypeAlias = "pin.SE3 | Array"
 
-#: Largest accepted entry of ``|R Rᵀ − I|`` of a rotation argument.
-ROTATION_TOLERANCE = 1e-6
+#: Largest accepted entry of ``|R Rᵀ − I|`` of a rotation argument: matrices printed with four decimals have 2e-4.
+ROTATION_TOLERANCE = 3e-4
+#: Up to this one a rotation is taken as it is; beyond, the nearest rotation is.
+_ROUNDING = 1e-9
 
 
 def as_placement(value: Placement, where: str) -> pin.SE3:
     """Return ``value`` as a new :class:`pinocchio.SE3`.
+
+    A rotation that was rounded, as in a printed matrix, becomes the nearest rotation.
 
     Raises:
         InvalidInputError: not an SE3 or 4x4 matrix, an entry is not finite, or the 3x3 block is not a rotation.
@@ -62,17 +66,20 @@ def as_placement(value: Placement, where: str) -> pin.SE3:
             where,
             f"Give an orthonormal, right-handed rotation (tolerance {ROTATION_TOLERANCE:g}).",
         )
+    if defect > _ROUNDING:
+        U, _, Vt = np.linalg.svd(R)
+        R = U @ Vt
     return pin.SE3(R.copy(), matrix[:3, 3].copy())
 
 
 def _is_placement(T: pin.SE3) -> bool:
-    """Whether :func:`as_placement` accepts a placement, in plain numbers; a NaN in R makes its determinant NaN."""
+    """Whether :func:`as_placement` takes a placement as it is, in plain numbers; a NaN in R makes det R NaN."""
     (a, b, c), (d, e, f), (g, h, i) = T.rotation.tolist()
     x, y, z = T.translation.tolist()
     squares = max(abs(a * a + b * b + c * c - 1.0), abs(d * d + e * e + f * f - 1.0), abs(g * g + h * h + i * i - 1.0))
     angles = max(abs(a * d + b * e + c * f), abs(a * g + b * h + c * i), abs(d * g + e * h + f * i))
     det = a * (e * i - f * h) + b * (f * g - d * i) + c * (d * h - e * g)
-    return squares <= ROTATION_TOLERANCE and angles <= ROTATION_TOLERANCE and det > 0.0 and math.isfinite(x + y + z)
+    return squares <= _ROUNDING and angles <= _ROUNDING and det > 0.0 and math.isfinite(x + y + z)
 
 
 def axis_angle(R: Array) -> tuple[Array, float]:

@@ -18,7 +18,7 @@ from coopqp.checks import ArrayLike, as_vector, require
 from coopqp.errors import InvalidInputError, ModelError, UnknownNameError, has_controls, shown
 from coopqp.model.description import description_file, mesh_folders, read_urdf
 from coopqp.model.followers import Follower, followers_locked, refuse_loops, urdf_followers
-from coopqp.model.joint_limits import JointLimits, model_limits
+from coopqp.model.joint_limits import JointLimits, model_limits, narrow_to_soft_limits
 from coopqp.model.links import joint_axes
 from coopqp.model.mjcf import read_mjcf
 from coopqp.spatial import Placement, as_placement
@@ -85,8 +85,9 @@ class Arm:
                 another stands where that one takes it. Without a word here both are locked at zero, or at the nearest
                 limit, if they move no tool.
             velocity_limits, acceleration_limits, lower_limits, upper_limits: replace the limits of the model; a scalar
-                or one number per remaining joint. URDF has no acceleration limits: they are infinite unless
-                given here.
+                or one number per remaining joint. Of a ``safety_controller`` the soft position limits count where they
+                are the narrower ones: a robot's own controllers stop there. URDF has no acceleration limits: they are
+                infinite unless given here.
 
         Raises:
             ModelError: the file is missing, too large, not a robot, or has joints that coopqp cannot drive.
@@ -202,6 +203,7 @@ def urdf_arm(
         model = pin.buildModelFromUrdf(str(source))
     except (ValueError, RuntimeError) as error:
         raise ModelError(f"arm '{name}': {source} is not a readable URDF ({_cause(error)})") from error
+    narrow_to_soft_limits(model, root)
     shapes: dict[str, pin.GeometryModel | None] = {"visual": None, "collision": None}
     if geometry:
         kinds = {"visual": pin.GeometryType.VISUAL, "collision": pin.GeometryType.COLLISION}

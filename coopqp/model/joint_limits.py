@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from typing import Any
+from xml.etree import ElementTree
 
 import numpy as np
 import pinocchio as pin
@@ -108,6 +109,35 @@ def model_limits(
     accel = override(acceleration, np.full(n, np.inf), "acceleration_limits")
     _check_room(low, high, speed, accel, lambda j: f"{where}, joint '{joint_names[j]}'")
     return JointLimits(low, high, speed, accel)
+
+
+def narrow_to_soft_limits(model: pin.Model, root: ElementTree.Element) -> None:
+    """Put the soft position limits of a URDF into its model where they are narrower: a robot stops at them.
+
+    Soft limits that leave a joint no room, as some files have them, are none.
+    """
+    low, high = np.array(model.lowerPositionLimit), np.array(model.upperPositionLimit)
+    for joint in root.findall("joint"):
+        safety, name = joint.find("safety_controller"), joint.get("name", "")
+        if safety is None or not model.existJointName(name):
+            continue
+        own = model.joints[model.getJointId(name)]
+        if own.nq != 1:
+            continue
+        lower = max(_number(safety.get("soft_lower_limit"), -np.inf), low[own.idx_q])
+        upper = min(_number(safety.get("soft_upper_limit"), np.inf), high[own.idx_q])
+        if lower < upper:
+            low[own.idx_q], high[own.idx_q] = lower, upper
+    model.lowerPositionLimit, model.upperPositionLimit = low, high
+
+
+def _number(text: str | None, otherwise: float) -> float:
+    """A number of a file; another one where it is missing or is none."""
+    try:
+        number = float(text) if text is not None else np.nan
+    except ValueError:
+        number = np.nan
+    return number if np.isfinite(number) else otherwise
 
 
 def _check_room(lower: Array, upper: Array, velocity: Array, acceleration: Array, where: Callable[[int], str]) -> None:

@@ -8,6 +8,7 @@ from xml.etree import ElementTree
 
 import pytest
 
+from coopqp import Arm
 from coopqp.errors import ModelError
 from coopqp.model.description import (
     MAX_NESTING,
@@ -140,3 +141,43 @@ def test_a_path_of_a_description_is_a_file(tmp_path: Path) -> None:
     ):
         with pytest.raises(ModelError, match=f"arm 'left': .*({says})"):
             description_file(bad, "left")  # type: ignore[arg-type]
+
+
+def test_soft_limits_count_where_they_are_narrower(tmp_path: Path) -> None:
+    """Of a file of ranges and soft limits: the narrower of both, unless that leaves no room or is no number."""
+    file = tmp_path / "arm.urdf"
+    for soft, expected in (
+        ('soft_lower_limit="-0.5" soft_upper_limit="0.7"', (-0.5, 0.7)),
+        ('soft_lower_limit="-5" soft_upper_limit="0.7"', (-1.0, 0.7)),
+        ('soft_lower_limit="-0.5"', (-0.5, 1.0)),
+        ('k_position="15"', (-1.0, 1.0)),
+        ('soft_lower_limit="0" soft_upper_limit="0"', (-1.0, 1.0)),
+        ('soft_lower_limit="nan" soft_upper_limit="much"', (-1.0, 1.0)),
+    ):
+        file.write_text(
+            '<robot name="r"><link name="a"/><link name="b"/><joint name="j" type="revolute"><parent link="a"/>'
+            '<child link="b"/><axis xyz="0 0 1"/><limit lower="-1" upper="1" velocity="1" effort="1"/>'
+            f'<safety_controller k_velocity="1" {soft}/></joint></robot>'
+        )
+        arm = Arm.from_urdf("a", file, tool_frame="b")
+        assert (arm.limits.lower[0], arm.limits.upper[0]) == expected
+        assert (arm.model.lowerPositionLimit[0], arm.model.upperPositionLimit[0]) == expected
+        assert Arm.from_urdf("a", file, tool_frame="b", lower_limits=-0.9).limits.lower[0] == -0.9
+
+
+def test_meshes_beside_a_urdf_are_found(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "arm" / "meshes").mkdir(parents=True)
+    (tmp_path / "arm" / "meshes" / "a.obj").write_text(
+        "v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\nf 1 3 2\nf 1 2 4\nf 1 4 3\n"
+    )
+    shape = '<collision><geometry><mesh filename="meshes/a.obj"/></geometry></collision>'
+    file = tmp_path / "arm" / "arm.urdf"
+    file.write_text(
+        f'<robot name="r"><link name="a"/><link name="b">{shape}</link><joint name="j" type="continuous">'
+        '<parent link="a"/><child link="b"/><axis xyz="0 0 1"/><limit velocity="1" effort="1"/></joint></robot>'
+    )
+    monkeypatch.chdir(tmp_path)
+    for given in ((), (tmp_path,)):
+        arm = Arm.from_urdf("a", "arm/arm.urdf", tool_frame="b", package_dirs=given)
+        assert arm.collision is not None
+        assert arm.collision.ngeoms == 1

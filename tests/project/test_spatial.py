@@ -96,9 +96,11 @@ def test_a_value_is_refused_by_name_or_read_correctly(value: Any) -> None:
         assert number == float(value)
     placement = attempt(lambda x: as_placement(x, "the spot"), value)
     if placement is not None:
-        assert np.array_equal(placement.homogeneous, np.asarray(value, dtype=float))
         R = placement.rotation
-        assert np.abs(R @ R.T - np.eye(3)).max() <= ROTATION_TOLERANCE
+        assert np.abs(R @ R.T - np.eye(3)).max() <= 1e-8
+        np.testing.assert_allclose(
+            placement.homogeneous, np.asarray(value, dtype=float), rtol=0, atol=ROTATION_TOLERANCE
+        )
 
 
 @given(placements())
@@ -114,6 +116,19 @@ def test_a_placement_is_copied_whatever_its_form(T: pin.SE3) -> None:
         got.rotation[:] = 0.0
         assert np.array_equal(T.homogeneous, matrix)
         assert np.array_equal(np.asarray(getattr(form, "homogeneous", form)), matrix)
+
+
+@pytest.mark.parametrize("decimals", [4, 5, 6, 8, 17])
+def test_a_printed_rotation_is_read_as_the_nearest_one(decimals: int, rng: np.random.Generator) -> None:
+    """Also as an SE3. Good to the last digit that was printed; a rotation of full length is taken bit by bit."""
+    for _ in range(200):
+        T = pin.SE3(pin.exp3(rng.normal(size=3)), rng.normal(size=3))
+        printed = T.homogeneous.round(decimals)
+        for form in (printed, pin.SE3(printed)):
+            got = as_placement(form, "here")
+            assert np.abs(got.rotation @ got.rotation.T - np.eye(3)).max() < 1e-8
+            np.testing.assert_allclose(got.homogeneous, T.homogeneous, rtol=0, atol=1.5 * 10.0**-decimals + 1e-15)
+            assert decimals < 17 or np.array_equal(got.homogeneous, printed)
 
 
 def shear() -> Array:
