@@ -3,13 +3,17 @@
 from __future__ import annotations
 
 import difflib
+import itertools
 import unicodedata
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from typing import Any
 
 
 class CoopqpError(Exception):
-    """Root of every error that coopqp raises."""
+    """Root of every error that coopqp raises. A message is bounded, also where it has a stranger's names."""
+
+    def __str__(self) -> str:
+        return _bounded(super().__str__())
 
 
 class InvalidInputError(CoopqpError, ValueError):
@@ -29,15 +33,15 @@ class UnknownNameError(CoopqpError, KeyError):
     def __init__(self, kind: str, name: str, available: Iterable[str], where: str = "") -> None:
         self.kind, self.name, self.available = kind, name, tuple(available)
         said = shortened(f"'{printable(name)}'")
-        near = difflib.get_close_matches(name, self.available, n=1)
-        hint = f" Did you mean '{near[0]}'?" if near else ""
+        near = nearest(name, self.available)
+        hint = f" Did you mean '{shortened(near[0])}'?" if near else ""
         at = f" in {where}" if where else ""
-        self.message = f"no {kind} named {said}{at}.{hint} Available: {', '.join(self.available) or 'none'}."
+        self.message = f"no {kind} named {said}{at}.{hint} Available: {listed(self.available) or 'none'}."
         self._where = where
         super().__init__(self.message)
 
     def __str__(self) -> str:
-        return self.message
+        return _bounded(self.message)
 
     def __reduce__(self) -> tuple[type[UnknownNameError], tuple[str, str, tuple[str, ...], str]]:
         return type(self), (self.kind, self.name, self.available, self._where)
@@ -121,6 +125,14 @@ class MissingSolverError(MissingExtraError):
         return type(self), (self.package, self.remedy)
 
 
+#: Characters of a message: more are left out before its last ones, which have the remedy.
+_LONGEST, _LAST = 4000, 500
+
+
+def _bounded(message: str) -> str:
+    return message if len(message) <= _LONGEST else f"{message[: _LONGEST - _LAST]} … {message[-_LAST:]}"
+
+
 def cause_of(error: BaseException | None, kind: type[BaseException]) -> bool:
     """Whether an error is of a kind, or an error that it was raised from: errors of a file name the file."""
     while error is not None:
@@ -138,6 +150,33 @@ def said(error: BaseException) -> str:
         text = ""
     name = type(error).__name__
     return f"{name}: {text}"[:200] if text else name
+
+
+#: Names that are compared for a suggestion, and characters of each: to compare long ones takes minutes.
+_COMPARED, _CHARACTERS = 1000, 60
+#: Names that a message lists.
+_LISTED = 60
+
+
+def nearest(name: str, known: Iterable[str], *, most: int = 1, cutoff: float = 0.6) -> list[str]:
+    """The names most like another one, the nearest first. Of long names their beginnings are compared.
+
+    Args:
+        name: the name.
+        known: names.
+        most: number of names that are returned at most.
+        cutoff: how alike they are at least, 0 to 1.
+    """
+    heads: dict[str, str] = {}
+    for other in itertools.islice(known, _COMPARED):
+        heads.setdefault(other[:_CHARACTERS], other)
+    return [heads[head] for head in difflib.get_close_matches(name[:_CHARACTERS], heads, n=most, cutoff=cutoff)]
+
+
+def listed(names: Sequence[str]) -> str:
+    """Names for a message: the first ones, each of at most 60 characters, and how many more there are."""
+    more = f", and {len(names) - _LISTED} more" if len(names) > _LISTED else ""
+    return ", ".join(map(shortened, names[:_LISTED])) + more
 
 
 def shown(value: Any) -> str:

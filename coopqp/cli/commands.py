@@ -237,7 +237,7 @@ def _run_schema(arguments: argparse.Namespace) -> int:
     elif arguments.example:
         print(cellfile.example_path(arguments.example).read_text(encoding="utf-8"), end="")
     elif arguments.json:
-        print(json.dumps(cellfile.json_schema(), indent=1, ensure_ascii=False))
+        print(json.dumps(cellfile.json_schema(), indent=1))
     else:
         print(cellfile.schema_text(), end="")
     return _OK

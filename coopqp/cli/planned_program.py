@@ -27,6 +27,7 @@ def run_program(run: CellRun, arguments: argparse.Namespace, share: float, folde
             not decided.
     """
     from coopqp.files.cellfile import CellFileError
+    from coopqp.files.cellfile.paths import folder_of
     from coopqp.files.cellfile.write import planned_program_text
     from coopqp.planning.branch_checks import PathVerdict
     from coopqp.planning.check import check_path
@@ -51,7 +52,7 @@ def run_program(run: CellRun, arguments: argparse.Namespace, share: float, folde
     if not check.feasible:
         lost = check.verdict is PathVerdict.INFEASIBLE
         raise (UnreachableError if lost else UndecidedError)(check.explain())
-    text = planned_program_text(run, made, folder=arguments.cell.parent, into=folder)
+    text = planned_program_text(run, made, folder=folder_of(arguments.cell), into=folder)
     files = write_files({folder / "plan.toml": text.encode()})
     if not arguments.quiet:
         _print(made, optimum.duration, program.duration)

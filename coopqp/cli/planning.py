@@ -86,6 +86,7 @@ def _run(arguments: argparse.Namespace) -> int:
     require_toppra()
     require_matplotlib()
     require_readers()
+    from coopqp.files.cellfile.paths import folder_of
     from coopqp.files.cellfile.write import planned_text
 
     folder: Path = arguments.out
@@ -108,7 +109,7 @@ def _run(arguments: argparse.Namespace) -> int:
         optimum = _plan(run, arguments, 1.0, made.q_start, None).path.duration
         report.note("drawing the speed profile")
         picture = figure_bytes(profile_figure(made.path))
-        text = planned_text(run, made, folder=arguments.cell.parent, into=folder)
+        text = planned_text(run, made, folder=folder_of(arguments.cell), into=folder)
         files = write_files({folder / "plan.toml": text.encode(), folder / "speed.png": picture})
     if not arguments.quiet:
         _print(made, optimum, run.scenario.path.duration)

@@ -52,6 +52,7 @@ def _run_route(arguments: argparse.Namespace) -> int:
 
     require_readers()
     from coopqp.files.cellfile.build import load_search
+    from coopqp.files.cellfile.paths import folder_of
     from coopqp.files.cellfile.write import timed_text
 
     check_new(arguments.out, arguments.json, arguments.html, force=arguments.force)
@@ -71,7 +72,7 @@ def _run_route(arguments: argparse.Namespace) -> int:
         text = timed_text(
             settings, task.cell, route.check.q_start, task.path(route), f"A way of {route.length:.2f} m round, "
             "found and proved by coopqp. The path is in the table [path].",
-            folder=arguments.cell.parent, into=arguments.out.parent,
+            folder=folder_of(arguments.cell), into=arguments.out.parent,
         )  # fmt: skip
         contents[arguments.out] = text.encode()
     if arguments.json is not None:

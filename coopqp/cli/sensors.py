@@ -50,6 +50,7 @@ def add_sensors(commands: Any) -> None:
 def run_sensors(arguments: argparse.Namespace) -> int:
     """Run ``coopqp sensors``."""
     from coopqp.files.cellfile import CellFileError, load_cell_file
+    from coopqp.files.cellfile.paths import folder_of
     from coopqp.simulation.commissioning import commission_sensors
 
     if arguments.out is not None and arguments.out.suffix != ".toml":
@@ -68,7 +69,7 @@ def run_sensors(arguments: argparse.Namespace) -> int:
             found = _by_drivers(run, None if arguments.driver == "file" else arguments.driver)
         contents = {}
         if arguments.out is not None and found.sensors is not None:
-            text = _text(run.settings, found.sensors, arguments.cell.parent, arguments.out.parent)
+            text = _text(run.settings, found.sensors, folder_of(arguments.cell), arguments.out.parent)
             contents[arguments.out] = text.encode()
         if arguments.json is not None:
             contents[arguments.json] = json_bytes(_record(found))

@@ -2,22 +2,22 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import IO, Any, NamedTuple
 
 import coal
 import numpy as np
 
 from coopqp.errors import InvalidInputError
-from coopqp.model.shapes import MOST_TRIANGLES, Box, Capsule, Cylinder, Hull, Mesh, Shape, Sphere
+from coopqp.model.shapes import MOST_BYTES, MOST_TRIANGLES, Box, Capsule, Cylinder, Hull, Mesh, Shape, Sphere
+from coopqp.reading import open_file
 
 #: A hull with more than this many times its mesh's volume is named.
 LARGE_HULL = 1.5
 #: Corners whose spread across a plane is less than this share of that along it lie in the plane.
 _FLAT = 1e-6
-#: Largest accepted mesh file [bytes].
-MOST_BYTES = 100_000_000
 
 
 def geometry_of(shape: Shape, where: str) -> Any:
@@ -41,9 +41,12 @@ def geometry_of(shape: Shape, where: str) -> Any:
 
 def _of_mesh(mesh: Mesh, where: str) -> Any:
     file = Path(mesh.file)
-    if file.stat().st_size > MOST_BYTES:
-        raise InvalidInputError(f"{file} is larger than {MOST_BYTES} bytes", where, "Reduce the mesh.")
-    triangles = _stl_triangles(file)
+    try:
+        with open_file(file, MOST_BYTES) as stream:
+            triangles = _stl_triangles(stream, file.suffix)
+    except OSError as error:
+        why = f"cannot read {error.filename}: {error.strerror}"
+        raise InvalidInputError(why, where, "Give a mesh of fewer bytes.") from error
     if triangles > MOST_TRIANGLES:  # before it takes a minute to read it
         raise InvalidInputError(f"{file} has {triangles} triangles", where, f"Reduce it to {MOST_TRIANGLES} or fewer.")
     try:
@@ -54,14 +57,12 @@ def _of_mesh(mesh: Mesh, where: str) -> Any:
         raise InvalidInputError(f"{file} is no readable mesh ({said})", where, "Give an STL, DAE or OBJ.") from error
 
 
-def _stl_triangles(file: Path) -> int:
+def _stl_triangles(stream: IO[bytes], suffix: str) -> int:
     """Number of triangles by the header of a binary STL; 0 for other files."""
-    if file.suffix.lower() != ".stl":
+    if suffix.lower() != ".stl":
         return 0
-    with file.open("rb") as opened:
-        head = opened.read(84)
-    count = int.from_bytes(head[80:84], "little")
-    return count if file.stat().st_size == 84 + 50 * count else 0
+    count = int.from_bytes(stream.read(84)[80:], "little")
+    return count if stream.seek(0, os.SEEK_END) == 84 + 50 * count else 0
 
 
 def convex(geometry: Any, where: str) -> tuple[Any, float]:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import difflib
 import json
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
@@ -11,8 +10,9 @@ from typing import Any, final
 from xml.etree import ElementTree
 
 from coopqp.checks import as_count
-from coopqp.errors import InvalidInputError, UnknownNameError, shown
+from coopqp.errors import InvalidInputError, UnknownNameError, nearest, shown
 from coopqp.model.description import MAX_DESCRIPTION_BYTES
+from coopqp.reading import read_file
 
 
 @final
@@ -61,7 +61,7 @@ class Names:
             return frozenset([pattern])
         if pattern in self._arms:
             return frozenset(name for name in self.names if name.startswith(f"{pattern}/"))
-        near = difflib.get_close_matches(str(pattern), [*self.names, *self._arms], n=12, cutoff=0.0)
+        near = nearest(str(pattern), [*self.names, *self._arms], most=12, cutoff=0.0)
         raise UnknownNameError("body", shown(pattern).strip("'"), near, where)
 
     def pairs(self, patterns: Iterable[Any], where: str) -> set[frozenset[str]]:
@@ -111,12 +111,14 @@ def srdf_pairs(source: str | Path, where: str) -> list[tuple[str, str]]:
     """
     text = str(source)
     if "<" not in text:
-        file = Path(text)
-        if not file.is_file():
-            raise InvalidInputError(f"there is no file {file}", where, "Give the path of an SRDF, or its text.")
-        if file.stat().st_size > MAX_DESCRIPTION_BYTES:
-            raise InvalidInputError(f"{file} is too large", where, f"Give {MAX_DESCRIPTION_BYTES} bytes at most.")
-        text = file.read_text(encoding="utf-8", errors="replace")
+        try:
+            text = read_file(text, MAX_DESCRIPTION_BYTES).decode("utf-8-sig", errors="replace")
+        except FileNotFoundError as error:
+            why = f"there is no file {error.filename}"
+            raise InvalidInputError(why, where, "Give the path of an SRDF, or its text.") from error
+        except OSError as error:
+            why = f"cannot read {error.filename}: {error.strerror}"
+            raise InvalidInputError(why, where, "Give the path of an SRDF.") from error
     if "<!ENTITY" in text:
         raise InvalidInputError("an SRDF that declares XML entities", where, "Write their text out.")
     try:

@@ -281,7 +281,8 @@ def _rename_inside(folder: Path, name: str) -> None:
     """Rename the storage file of a bag to the bag's name, also in the bag's metadata."""
     (storage,) = folder.glob("*.mcap")
     metadata = folder / "metadata.yaml"
-    metadata.write_text(metadata.read_text().replace(storage.name, f"{name}.mcap"))
+    text = metadata.read_text(encoding="utf-8").replace(storage.name, f"{name}.mcap")
+    metadata.write_text(text, encoding="utf-8")
     storage.rename(folder / f"{name}.mcap")
 
 

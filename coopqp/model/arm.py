@@ -5,7 +5,6 @@ Models are copied. The user's objects are never modified.
 
 from __future__ import annotations
 
-import difflib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -15,7 +14,7 @@ import numpy as np
 import pinocchio as pin
 
 from coopqp.checks import ArrayLike, as_vector, require
-from coopqp.errors import InvalidInputError, ModelError, UnknownNameError, has_controls, shown
+from coopqp.errors import InvalidInputError, ModelError, UnknownNameError, has_controls, nearest, shown
 from coopqp.model.description import description_file, mesh_folders, read_urdf
 from coopqp.model.followers import Follower, followers_locked, refuse_loops, urdf_followers
 from coopqp.model.joint_limits import JointLimits, model_limits, narrow_to_soft_limits
@@ -267,7 +266,7 @@ def _check_name(name: Any) -> None:
 def _check_tool(name: str, model: pin.Model, tool_frame: Any, source: str) -> None:
     if not isinstance(tool_frame, str) or not model.existFrame(tool_frame):
         names = [f.name for f in model.frames if f.name != "universe"]
-        near = difflib.get_close_matches(str(tool_frame), names, n=len(names), cutoff=0.0)[:12]
+        near = nearest(str(tool_frame), names, most=12, cutoff=0.0)
         raise UnknownNameError("frame", str(tool_frame), near, f"arm '{name}' ({source})")
     if model.frames[model.getFrameId(tool_frame)].parentJoint == 0:
         raise ModelError(f"arm '{name}': no joint moves the tool frame '{tool_frame}' ({source}).")

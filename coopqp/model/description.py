@@ -10,11 +10,14 @@ from xml.etree import ElementTree
 from xml.parsers import expat
 
 from coopqp.errors import ModelError
+from coopqp.reading import read_file
 
 #: Largest accepted robot description [bytes].
 MAX_DESCRIPTION_BYTES = 20_000_000
 #: Largest accepted nesting depth of elements. An arm with a hundred joints needs a little more than a hundred.
 MAX_NESTING = 500
+#: Largest accepted number of links: Pinocchio follows chains of them recursively and would crash.
+MAX_LINKS = 2000
 #: Largest number of folders above a description that are searched for its meshes.
 MAX_FOLDERS_ABOVE = 6
 #: Elements that stand for others.
@@ -25,20 +28,30 @@ def description_file(path: str | Path, arm: str) -> Path:
     """The file of a robot description.
 
     Raises:
-        ModelError: it is missing or too large.
+        ModelError: it is missing, too large, no ordinary file, or cannot be read.
     """
     try:
         file = Path(path)
-        found = file.is_file()
     except TypeError as error:
         raise ModelError(f"arm '{arm}': {path!r} is not a path. Give the file's name.") from error
-    except (ValueError, OSError) as error:  # a null character, a name too long for the system
-        raise ModelError(f"arm '{arm}': {str(path)[:60]!r}… is no path of a file ({error}).") from error
-    if not found:
-        raise ModelError(f"arm '{arm}': there is no file {file}. Check the path (it is relative to {Path.cwd()}).")
-    if file.stat().st_size > MAX_DESCRIPTION_BYTES:
-        raise ModelError(f"arm '{arm}': {file} is larger than {MAX_DESCRIPTION_BYTES} bytes and was not read.")
+    _content(file, arm)
     return file
+
+
+def _content(file: Path, arm: str) -> bytes:
+    """What a description says.
+
+    Raises:
+        ModelError: it is missing, too large, no ordinary file, or cannot be read.
+    """
+    try:
+        return read_file(file, MAX_DESCRIPTION_BYTES)
+    except FileNotFoundError as error:
+        raise ModelError(
+            f"arm '{arm}': there is no file {error.filename}. Check the path (it is relative to {Path.cwd()})."
+        ) from error
+    except OSError as error:
+        raise ModelError(f"arm '{arm}': cannot read {error.filename}: {error.strerror}. Check the path.") from error
 
 
 def read_urdf(file: Path, arm: str) -> ElementTree.Element:
@@ -51,8 +64,9 @@ def read_urdf(file: Path, arm: str) -> ElementTree.Element:
     """
     builder, parser = ElementTree.TreeBuilder(), expat.ParserCreate()  # which leaves prefixes such as xacro: alone
     parser.StartElementHandler, parser.EndElementHandler = builder.start, builder.end
+    content = _content(file, arm)
     try:
-        parser.Parse(file.read_bytes(), True)
+        parser.Parse(content, True)
         root = builder.close()
     except (expat.ExpatError, LookupError, ValueError) as error:  # also an encoding that Python does not know
         raise ModelError(f"arm '{arm}': {file} is not a readable URDF ({error}). Check the path.") from error
@@ -65,6 +79,8 @@ def read_urdf(file: Path, arm: str) -> ElementTree.Element:
         )
     if root.tag != "robot" or not root.get("name"):
         raise ModelError(f"arm '{arm}': {file} is not a readable URDF (its root is no <robot name=…>). Check the path.")
+    if len(root.findall("link")) > MAX_LINKS:
+        raise ModelError(f"arm '{arm}': {file} has more than {MAX_LINKS} links and was not read.")
     return root
 
 
@@ -97,11 +113,11 @@ def check_mjcf(file: Path, arm: str) -> None:
     def entity(*declaration: object) -> None:
         raise ModelError(f"arm '{arm}': {file} declares XML entities, which are not allowed. Write their text out.")
 
-    parser = expat.ParserCreate()
+    content, parser = _content(file, arm), expat.ParserCreate()
     parser.StartElementHandler, parser.EndElementHandler, parser.EntityDeclHandler = begin, end, entity
     # If the file is not XML, the MJCF reader reports it.
     with contextlib.suppress(expat.ExpatError, LookupError, ValueError):
-        parser.Parse(file.read_bytes(), True)
+        parser.Parse(content, True)
 
 
 def mesh_folders(root: ElementTree.Element, file: Path, given: Sequence[str | Path]) -> list[str]:

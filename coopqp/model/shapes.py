@@ -13,10 +13,13 @@ import pinocchio as pin
 from coopqp.checks import NOT_NUMBERS, as_floats, as_vector, keep_scalars, read_only, require
 from coopqp.errors import InvalidInputError, has_controls, shown
 from coopqp.native.constants import DEEPEST
+from coopqp.reading import open_file
 from coopqp.spatial import Array, Placement, as_placement
 
 #: Sizes of shapes [m].
 LEAST_SIZE, LARGEST_SIZE = 1e-5, 1e3
+#: Largest accepted mesh file [bytes].
+MOST_BYTES = 100_000_000
 #: Largest number of triangles or corners of one mesh.
 MOST_TRIANGLES = 100_000
 
@@ -136,11 +139,17 @@ class Mesh:
             raise InvalidInputError("a scale of 0", "Mesh: scale", "Give factors other than 0.")
         try:
             file = Path(self.file)
-            found = file.is_file()
-        except (TypeError, ValueError, OSError) as error:
+            open_file(file, MOST_BYTES).close()
+        except TypeError as error:
             raise InvalidInputError(f"{shown(self.file)} is no path", "Mesh: file", "Give the file's name.") from error
-        if not found:
-            raise InvalidInputError(f"there is no file {file}", "Mesh: file", f"Paths are relative to {Path.cwd()}.")
+        except FileNotFoundError as error:
+            raise InvalidInputError(
+                f"there is no file {error.filename}", "Mesh: file", f"Paths are relative to {Path.cwd()}."
+            ) from error
+        except OSError as error:
+            raise InvalidInputError(
+                f"cannot read {error.filename}: {error.strerror}", "Mesh: file", "Give the path of a mesh."
+            ) from error
         object.__setattr__(self, "file", file)
         object.__setattr__(self, "scale", tuple(scale.tolist()))
 

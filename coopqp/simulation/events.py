@@ -11,6 +11,7 @@ import numpy as np
 
 from coopqp.control.operator.operator import REFUSED
 from coopqp.errors import CoopqpError, InvalidInputError
+from coopqp.reading import read_file
 from coopqp.simulation.recording.recording import Recording
 
 #: A call of an operator ahead of a step: the controller, and how many steps are done.
@@ -21,6 +22,8 @@ _POSE = ("retarget", "engage", "target")
 _CALLS = (*_PLAIN, *_NUMBER, *_POSE, "shift_path", "jog", "gear", "signal")
 #: What a script may call.
 _IN_SCRIPTS = (*_PLAIN, *_NUMBER, "signal", "shift_path", "jog")
+#: Largest accepted script [bytes].
+_MOST_BYTES = 1_000_000
 #: Between two jog commands of a script [s].
 _COMMANDS_APART = 0.05
 
@@ -139,8 +142,11 @@ def read_script(file: Path, dt: float) -> tuple[Event, ...]:
     """
     found: list[Event] = []
     try:
-        lines = file.read_text(encoding="utf-8").splitlines()
-    except (OSError, UnicodeDecodeError) as error:
+        lines = read_file(file, _MOST_BYTES).decode("utf-8-sig").splitlines()
+    except OSError as error:
+        why = f"{error.filename} cannot be read: {error.strerror}"
+        raise InvalidInputError(why, "script", "Give a text file.") from error
+    except UnicodeDecodeError as error:
         raise InvalidInputError(f"{file} cannot be read ({error})", "script", "Give a text file.") from error
     for number, line in enumerate(lines, 1):
         words = line.partition("#")[0].split()

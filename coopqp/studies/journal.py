@@ -5,6 +5,7 @@ A line is a JSON object whose last entry ``crc`` is the CRC-32 of the line witho
 
 from __future__ import annotations
 
+import contextlib
 import json
 import os
 import zlib
@@ -12,7 +13,8 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import Any, final
 
-from coopqp.errors import OutputError
+from coopqp.errors import OutputError, said
+from coopqp.reading import check_depth, open_file, read_file
 from coopqp.studies.errors import StudyError
 
 try:
@@ -25,13 +27,20 @@ def read_journal(file: Path) -> tuple[list[dict[str, Any]], int]:
     """The entries of a journal, and the length of its complete lines [bytes]: a last line may be cut.
 
     Raises:
-        StudyError: a line inside it is damaged.
+        StudyError: a line inside it is damaged, or it is no ordinary file.
     """
-    content = file.read_bytes() if file.exists() else b""
+    try:
+        content = read_file(file, _MOST_BYTES)
+    except FileNotFoundError:
+        content = b""
+    except OSError as error:
+        raise StudyError(f"cannot read {error.filename}: {error.strerror}. Give another folder.") from error
     whole = content[: content.rfind(b"\n") + 1]
     return [_entry(line, f"{file}, line {i}") for i, line in enumerate(whole.split(b"\n")[:-1], start=1)], len(whole)
 
 
+#: Largest accepted journal [bytes], and nesting depth of its entries.
+_MOST_BYTES, _MOST_DEPTH = 2_000_000_000, 50
 #: What helps where a journal is damaged.
 ANEW = "Start the study anew in another folder, or take this line and those after it out: their rows are run again."
 _MARK = b', "crc": "'
@@ -52,7 +61,14 @@ def _entry(line: bytes, where: str) -> dict[str, Any]:
     text = head + b"}"
     if tail != f'{zlib.crc32(text):08x}"}}'.encode():
         raise StudyError(f"{where} is damaged (its checksum is another). {ANEW}")
-    return json.loads(text)
+    try:
+        entry: dict[str, Any] = json.loads(text)
+        check_depth(entry, _MOST_DEPTH)
+        if not isinstance(entry, dict):
+            raise TypeError("it is no table")
+    except (ValueError, TypeError, RecursionError) as error:  # whoever wrote it knows checksums
+        raise StudyError(f"{where} is damaged ({said(error)}). {ANEW}") from error
+    return entry
 
 
 @final
@@ -70,6 +86,8 @@ class Journal:
     def __init__(self, file: Path) -> None:
         self.file = file
         try:
+            with contextlib.suppress(FileNotFoundError):
+                open_file(file, _MOST_BYTES).close()  # to write a pipe would be waited for
             self._stream = file.open("ab", buffering=0)
         except OSError as error:
             raise OutputError(f"cannot write {file}: {error.strerror}. Check the folder.") from error

@@ -19,7 +19,7 @@ from coopqp.files.cellfile import CellFileError, load_cell_task
 from coopqp.files.cellfile.basic import Angle, FilePath, Name, exactly_one
 from coopqp.files.cellfile.build_arm import exact_turns
 from coopqp.files.cellfile.explain import explain
-from coopqp.files.cellfile.paths import resolve
+from coopqp.files.cellfile.paths import folder_of, resolve
 from coopqp.files.cellfile.strict import Number, Table, build_options, problem, table_of
 from coopqp.files.cellfile.text import read_tables
 from coopqp.model.cell import RobotCell
@@ -221,7 +221,7 @@ def load_place_study(path: str | Path) -> PlaceStudy:
     """
     file = Path(path)
     try:
-        return _study(PlaceFile.model_validate(read_tables(file)), file.parent)
+        return _study(PlaceFile.model_validate(read_tables(file)), folder_of(file))
     except ValidationError as error:
         raise StudyError(f"{file}: {explain(error)}") from error
     except CellFileError:

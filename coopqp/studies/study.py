@@ -18,10 +18,10 @@ import numpy as np
 from annotated_types import Ge, Le, Len
 from pydantic import Field, ValidationError, model_validator
 
-from coopqp.errors import CoopqpError, UnknownNameError, shown
+from coopqp.errors import CoopqpError, UnknownNameError, shortened, shown
 from coopqp.files.cellfile.basic import FilePath, Name, Seconds, exactly_one
 from coopqp.files.cellfile.explain import explain
-from coopqp.files.cellfile.paths import resolve
+from coopqp.files.cellfile.paths import folder_of, resolve
 from coopqp.files.cellfile.renamed import renewed
 from coopqp.files.cellfile.schema import (
     MAX_STEPS,
@@ -43,6 +43,8 @@ from coopqp.studies.table import FIGURES
 
 #: Largest accepted number of rows, and of values of an axis.
 MAX_ROWS, MAX_VALUES = 1_000_000, 10_000
+#: Largest accepted number of parts of a dotted key.
+MAX_PARTS = 50
 
 
 class RangeTable(Table):
@@ -232,6 +234,8 @@ def put(data: Any, key: str, value: Any) -> None:
         StudyError: the key leads nowhere.
     """
     parts = key.split(".")
+    if len(parts) > MAX_PARTS:
+        raise StudyError(f"key '{shortened(key)}' has {len(parts)} parts; at most {MAX_PARTS} lead somewhere.")
     place = data
     for i, part in enumerate(parts):
         at: Any = part
@@ -293,7 +297,7 @@ def load_study(path: str | Path) -> Study:
     """
     file = Path(path)
     try:
-        made = _study(StudyFile.model_validate(read_tables(file)), file.parent)
+        made = _study(StudyFile.model_validate(read_tables(file)), folder_of(file))
         _check(made)
     except ValidationError as error:
         raise StudyError(f"{file}: {explain(error)}") from error
@@ -307,7 +311,7 @@ def _study(file: StudyFile, folder: Path) -> Study:
     if file.cell is not None:
         cell_file = resolve(file.cell, folder, "cell")
         base = read_tables(cell_file)
-        folder = cell_file.parent
+        folder = folder_of(cell_file)
     elif file.scenario not in SCENARIOS:
         raise StudyError(str(UnknownNameError("scenario", str(file.scenario), SCENARIOS)))
     whole = {**base, "disturbances": copy.deepcopy(file.disturbances)}

@@ -12,6 +12,7 @@ from typing import Any
 
 from coopqp.errors import UnreachableError
 from coopqp.output import check_folder, json_bytes, write_files
+from coopqp.reading import read_file
 from coopqp.studies.dispatch import Done, run_rows
 from coopqp.studies.engines import Engine
 from coopqp.studies.errors import StudyError
@@ -20,6 +21,8 @@ from coopqp.studies.row import RowTask, build_row
 from coopqp.studies.study import Study, versions
 from coopqp.studies.table import CSV, FIGURES, LOST, OK, OUTCOMES, PARQUET, csv_bytes, has_parquet, parquet_bytes
 
+#: Largest accepted description of a study in its folder [bytes].
+_MOST_BYTES = 1_000_000
 #: Files of a study beside its tables.
 DESCRIPTION, JOURNAL, TIMES = "study.json", "journal.jsonl", "times.csv"
 _LOST = "its worker died each time, alone"
@@ -116,14 +119,14 @@ def _describe(study: Study, place: Path, *, resume: bool) -> None:
     if not resume:
         raise StudyError(f"{place} has a study. Go on with it by --resume, or give another folder.")
     try:
-        before = json.loads(file.read_text(encoding="utf-8"))
+        before = json.loads(read_file(file, _MOST_BYTES))
         other = any(before[key] != now[key] for key in ("study", "rows"))
         changed = [
             f"{name} {before['versions'].get(name)} (now {value})"
             for name, value in versions().items()
             if before["versions"].get(name) != value
         ]
-    except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
+    except (OSError, ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
         raise StudyError(f"{file} is damaged ({error}). Start the study anew in another folder.") from error
     if other:
         raise StudyError(f"{place} has another study, '{before.get('name')}'. Give another folder.")
@@ -139,9 +142,10 @@ def rows_found(journal: Journal, rows: int) -> dict[int, dict[str, Any]]:
     """
     found: dict[int, dict[str, Any]] = {}
     for i, entry in enumerate(journal.entries, start=1):  # their checksums hold
-        if not 0 <= entry["row"] < rows:
+        row, columns, seconds = (entry.get(key) for key in ("row", "columns", "seconds"))
+        if not (type(row) is int and 0 <= row < rows and isinstance(columns, dict) and type(seconds) in (int, float)):
             raise StudyError(f"{journal.file} is damaged (line {i} is no row of this study). {ANEW}")
-        found[entry["row"]] = entry
+        found[row] = entry
     return found
 
 

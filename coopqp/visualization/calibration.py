@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from coopqp.forces.calibration import Calibration
-from coopqp.visualization.style import COLOURS, INK, new_figure, open_frame, save_figure
+from coopqp.visualization.style import COLOURS, INK, label, new_figure, open_frame, save_figure
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -29,9 +29,9 @@ def calibration_figure(found: Calibration) -> Figure:
     figure = new_figure(9.0, 6.4, layout="constrained")
     grid = figure.subplots(2, 2)
     for axes, column, scale, unit in ((grid[0, 0], 0, 1e3, "mm"), (grid[0, 1], 1, 180.0 / np.pi, "°")):
-        for values, colour, label in ((found.before, _BEFORE, "before"), (found.after, _AFTER, "after")):
+        for values, colour, when in ((found.before, _BEFORE, "before"), (found.after, _AFTER, "after")):
             shown = np.maximum(scale * values[:, column], _FLOOR)
-            axes.semilogy(found.samples, shown, color=colour, linewidth=1.6, label=label)
+            axes.semilogy(found.samples, shown, color=colour, linewidth=1.6, label=when)
         axes.set_xlabel("sample of the run")
         axes.set_ylabel(f"the arms part by [{unit}]")
         axes.grid(visible=True, which="major", alpha=0.3)
@@ -46,7 +46,7 @@ def calibration_figure(found: Calibration) -> Figure:
             parts = (("base", arm.base, arm.base_deviation), ("grip", arm.grip, arm.grip_deviation))
             for part, value, spread in parts:
                 at = len(names) + np.arange(3)
-                names += [f"{arm.arm} {part} {axis}" for axis in "xyz"]
+                names += [label(f"{arm.arm} {part} {axis}") for axis in "xyz"]
                 colour, fill = (_AFTER, _AFTER) if arm.significant else (_NOT_MADE, "white")
                 axes.errorbar(scale * value[own], at, xerr=2.0 * scale * spread[own], fmt="o", color=colour,
                               markerfacecolor=fill, markersize=4.0, linewidth=1.2, capsize=2.0)  # fmt: skip

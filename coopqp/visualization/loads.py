@@ -12,7 +12,7 @@ from coopqp.forces.utilisation import LoadUse
 from coopqp.model.cell import RobotCell
 from coopqp.simulation.evaluation.wrenches import RunLoads
 from coopqp.spatial import Array
-from coopqp.visualization.style import COLOURS, FAINT, INK, drawn, legend_beside, new_figure, save_figure
+from coopqp.visualization.style import COLOURS, FAINT, INK, drawn, label, legend_beside, new_figure, save_figure
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -86,10 +86,10 @@ def _most_used_joints(axes: Axes, cell: RobotCell, time: Array, shares: Array) -
     _lines(axes, time, 100.0 * shares[:, joints], [cell.joint_names[j] for j in joints])
 
 
-def _lines(axes: Axes, time: Array, values: Array, labels: Sequence[str]) -> None:
+def _lines(axes: Axes, time: Array, values: Array, names: Sequence[str]) -> None:
     """One line (T, N) per arm."""
-    for k, label in enumerate(labels):
-        axes.plot(*drawn(time, values[:, k]), color=COLOURS[k % len(COLOURS)], lw=1.6, label=label)
+    for k, name in enumerate(names):
+        axes.plot(*drawn(time, values[:, k]), color=COLOURS[k % len(COLOURS)], lw=1.6, label=label(name))
 
 
 def _limit(axes: Axes, height: float, **options: Any) -> None:

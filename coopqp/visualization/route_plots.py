@@ -18,7 +18,7 @@ from coopqp.planning.check import PathCheck, check_path
 from coopqp.planning.route.route import Route
 from coopqp.spatial import Array
 from coopqp.visualization.renderer import Solid, View, cell_solids, mesh_of, render
-from coopqp.visualization.style import INK, RED, new_figure, plain
+from coopqp.visualization.style import INK, RED, label, new_figure, plain
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -71,7 +71,7 @@ def route_figure(route: Route, *, azimuth: float = 60.0, elevation: float = 28.0
     for edges, colour in zip(route.trees, _TREES, strict=False):
         for edge in edges:
             draw(edge, color=colour, lw=0.6)
-    draw(ends, color=RED, lw=2.0, label=_blocked(straight))
+    draw(ends, color=RED, lw=2.0, label=label(_blocked(straight), width=100))
     draw(way, color=_WAY, lw=2.4, label=f"way round, {route.length:.2f} m")
     axes.legend(loc="upper left", frameon=False, labelcolor=INK)
     _curves(figure, route, check, bottom=2.6 / (shown + 2.6))
@@ -125,7 +125,7 @@ def _curves(figure: Figure, route: Route, check: PathCheck, *, bottom: float) ->
     for arm, own in zip(check.cell.arms, check.cell.v_slices, strict=True):
         kinematics = ArmKinematics(arm)
         q = route.joints[:, own.start + kinematics.columns]
-        right.plot(shares, np.rad2deg(kinematics.margins(q).min(axis=1)), label=arm.name)
+        right.plot(shares, np.rad2deg(kinematics.margins(q).min(axis=1)), label=label(arm.name))
     right.set(xlabel="way [m]", ylabel="least joint margin [deg]", ylim=(0.0, None))
     right.legend(frameon=False, fontsize=8)
     for panel in (left, right):

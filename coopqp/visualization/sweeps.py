@@ -56,7 +56,7 @@ def sweep_figure(sweep: Sweep) -> Figure:
             x, low, middle, high = _spans(groups[name], along, positions, column)
             style = {"color": COLOURS[i % len(COLOURS)], "linestyle": DASHES[i // len(COLOURS) % len(DASHES)]}
             axes.fill_between(x, low, high, color=style["color"], alpha=0.15, linewidth=0)
-            axes.plot(x, middle, marker="o", markersize=3.5, label=name, **style)
+            axes.plot(x, middle, marker="o", markersize=3.5, label=label(name), **style)
             decades += [v for v in (*low, *high) if np.isfinite(v)]
         if decades and min(decades) > 0.0 and max(decades) > _DECADES * min(decades):
             axes.set_yscale("log")

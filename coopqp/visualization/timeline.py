@@ -170,8 +170,8 @@ def _draw_errors(axes: Any, recording: Recording, readings: Readings, tolerances
 def _draw_rate(axes: Any, recording: Recording) -> None:
     named: set[Status] = set()
     for status, i, j in marked_spans(recording):
-        label = status.value if status not in named else None
-        axes.axvspan(recording.time[i], recording.time[j], color=BANDS[status], lw=0, label=label)
+        new = status.value if status not in named else None
+        axes.axvspan(recording.time[i], recording.time[j], color=BANDS[status], lw=0, label=new)
         named.add(status)
     times, rates = drawn(recording.time[:-1], 100.0 * recording.rate)
     axes.stairs(rates, np.append(times, recording.time[-1]), color=INK, lw=1.6, baseline=None)
@@ -191,8 +191,9 @@ def _draw_clearance(axes: Any, clearance: Mapping[str, Any]) -> None:
         at, closest = drawn(np.array([clearance["time_s"]], float), 1e3 * np.array([clearance["closest_m"]], float))
         if not np.isfinite([*times, *distances, *at, *closest]).all() or max(map(abs, [*times, *at])) > LONGEST:
             raise SceneError("the recording's clearance is damaged (its numbers are too large).")
+        between = f"closest: {' and '.join(map(str, clearance['between']))}"
         axes.plot(times, distances, color=INK, lw=1.6)
-        axes.plot(at, closest, "o", color=RED, ms=5, label=f"closest: {' and '.join(map(str, clearance['between']))}")
+        axes.plot(at, closest, "o", color=RED, ms=5, label=label(between, width=100))
         if clearance["avoided"]:
             margin = min(1e3 * float(clearance["margin_m"]), 1e4)
             axes.axhline(margin, color=FAINT, ls="--", lw=1.2, label="margin")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import json
 import os
 import shutil
@@ -93,6 +94,22 @@ def test_a_terminal_gets_a_bar_and_colours(
     monkeypatch.setenv("NO_COLOR", "1")
     assert cli.main(["demo", "--steps", "2", "--out", str(tmp_path)]) == 0
     assert "\033" not in capsys.readouterr().out
+
+
+@pytest.mark.parametrize("encoding", ["ascii", "latin-1"])
+def test_an_output_that_cannot_write_a_character_gets_its_escape(
+    encoding: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def said(*line: str) -> str:
+        stream = io.TextIOWrapper(io.BytesIO(), encoding=encoding)
+        monkeypatch.setattr(sys, "stdout", stream)
+        assert cli.main(line) == 0
+        stream.flush()
+        return stream.buffer.getvalue().decode(encoding)  # type: ignore[attr-defined]
+
+    assert r"\u03c3_min" in said("check", "dual_arm7")
+    assert "lower_deg" in said("schema")
+    assert "σ" in json.dumps(json.loads(said("schema", "--json")), ensure_ascii=False)
 
 
 def test_the_command_is_installed() -> None:

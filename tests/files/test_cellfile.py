@@ -43,6 +43,7 @@ from coopqp.files.cellfile.renamed import renewed
 from coopqp.files.cellfile.text import read_tables
 from coopqp.scenarios import ROBOTS, Scenario, robot_file, robot_path
 from coopqp.simulation import PhysicsOptions, PhysicsPlant, Tolerances, read_run
+from coopqp.studies import load_study
 
 #: Options of types that a file cannot hold.
 NOT_IN_FILES = {(PostureOptions, "target"), (SupervisionOptions, "stiffness")}
@@ -214,6 +215,17 @@ def test_models_from_files_beside_the_cell_file(load: Callable[[str], CellRun], 
     (tmp_path / "mine.xml").write_text(mjcf)
     run = load(one_arm('mjcf = "mine.xml"\ntool_frame = "b"', start="positions_deg.a = [30]"))
     assert run.scenario.cell.joint_names == ("a/j",)
+
+
+def test_a_link_to_a_cell_file_leads_to_the_files_beside_it(load: Callable[[str], CellRun], tmp_path: Path) -> None:
+    (tmp_path / "mine.urdf").write_bytes(robot_path("arm7").read_bytes())
+    file = Path(str(load(one_arm('urdf = "mine.urdf"\ntool_frame = "tool"')).file))
+    link, study = tmp_path / "links" / "today.toml", tmp_path / "study.toml"
+    link.parent.mkdir()
+    link.symlink_to(file)
+    assert load_cell_file(link).scenario.cell.nv == 7
+    study.write_text(f'name = "s"\ncell = "{link}"\n[axes]\ndt_s = [0.01, 0.02]\n')
+    assert load_study(study).folder == str(tmp_path)
 
 
 def test_every_form_of_a_path_leads_to_the_model(

@@ -31,6 +31,11 @@ TESTS = {
         "tests/files/test_cellfile.py::test_missing_and_huge_files_are_refused",
         "tests/collision/test_collision.py::test_empty_and_huge_meshes_are_refused",
         "tests/project/test_security.py::test_files_beyond_their_bounds_are_refused_by_name",
+        "tests/reliability/test_strangers_files.py::test_what_is_nested_deep_is_refused_by_name",
+        "tests/reliability/test_strangers_files.py::test_endless_names_make_short_messages",
+    ),
+    "A device, a pipe or a folder in place of a file is refused, and not waited for.": (
+        "tests/reliability/test_strangers_files.py::test_what_is_no_ordinary_file_is_refused_by_every_reader",
     ),
     "A cell file writes below the working directory only, and no link leads out of it.": (
         "tests/cli/test_commands.py::test_no_link_leads_a_run_out_of_the_working_directory",
@@ -40,12 +45,13 @@ TESTS = {
     "They are opened only if you ask for it (`--meshes`, `Recording.load(file, meshes=True)`).": (
         "tests/simulation/test_scene.py::test_a_recording_from_a_file_opens_no_mesh_unless_asked",
     ),
-    "Names from files reach a terminal, a table or a page only as text: control characters are escaped, cells of a CSV "
-    "table begin no formula, and pages run no script from a name.": (
+    "Names from files reach a terminal, a table, a picture or a page only as text: control characters are escaped, cells "
+    "of a CSV table begin no formula, and pages run no script from a name.": (
         "tests/cli/test_commands.py::test_control_characters_reach_no_terminal",
         "tests/cli/test_commands.py::test_no_cell_of_a_table_is_a_formula",
         "tests/visualization/test_notebook.py::test_names_are_escaped",
         "tests/cli/test_new.py::test_names_of_a_strangers_file_stay_names",
+        "tests/visualization/test_plots.py::test_names_are_text_and_no_formulas",
     ),
     "The viewer listens on this machine only.": (
         "tests/visualization/test_viewer.py::test_it_listens_on_this_machine_alone",

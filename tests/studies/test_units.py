@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import inspect
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -12,6 +13,7 @@ from coopqp.scenarios import SCENARIOS
 from coopqp.studies import Study, Sweep, load_study
 from coopqp.studies.units import name_and_unit
 from coopqp.visualization import sweep_figure
+from coopqp.visualization.style import figure_bytes
 
 PAPER = Path(inspect.getfile(SCENARIOS["paper_lift"])).with_name("cells") / "paper_lift.toml"
 PURE = {"friction", "assumed_mass", "assumed_payload"}
@@ -74,3 +76,15 @@ def test_the_axis_and_the_lines_of_a_figure_have_units(tmp_path: Path) -> None:
             for gain in (1, 2)]  # fmt: skip
     figure = sweep_figure(Sweep(study, tuple(rows[0]), tuple(rows), (0.0, 0.0), ()))
     assert {axes.get_xlabel() for axes in figure.axes if axes.get_xlabel()} == {"controller.path gain [1/s]"}
+
+
+def test_cases_of_a_figure_are_text(tmp_path: Path) -> None:
+    pytest.importorskip("matplotlib")
+    cases = (("$x^{", {}), ("_b", {}))
+    study = replace(study_of(tmp_path, 'scenario = "paper_lift"'), cases=cases, name="$y_{")
+    rows = [{"controller.path_gain": gain, "case": case, "outcome": "ok", "chain_mm": 1.0, "object_mm": 1.0,
+             "time_s": 1.0} for case, _ in cases for gain in (1, 2)]  # fmt: skip
+    figure = sweep_figure(Sweep(study, tuple(rows[0]), tuple(rows), (0.0,) * 4, ()))
+    assert figure_bytes(figure, dpi=20)
+    legends = [legend for axes in figure.findobj() if (legend := getattr(axes, "legend_", None)) is not None]
+    assert [text.get_text() for text in legends[0].get_texts()] == [r"\$x^{", " b"]

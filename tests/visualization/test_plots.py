@@ -6,6 +6,7 @@ import sys
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -239,6 +240,46 @@ def test_a_missing_matplotlib_is_named(lift: Scenario, one: Recording, monkeypat
 def test_saving_is_repeatable(lift: Scenario, one: Recording) -> None:
     first, second = (style.figure_bytes(plots.error_figure(lift.cell, {"a": [one]}), dpi=40) for _ in range(2))
     assert first == second
+
+
+NAMES = ("$x^{", "_\\frac$", "c")
+
+
+def _texts(figure: Any) -> str:
+    """All texts of a figure, drawn: Matplotlib raises where it takes a name for a formula that is none."""
+    figure.set_layout_engine("none")  # it draws many times
+    style.figure_bytes(figure, dpi=20)
+    return "\n".join(text.get_text() for text in figure.findobj(Text))
+
+
+@pytest.mark.slow
+def test_names_are_text_and_no_formulas(lift: Scenario, one: Recording) -> None:
+    from coopqp.forces import LoadShare, load_use
+    from coopqp.planning import Payload
+    from coopqp.simulation.evaluation.readings import read_run
+    from coopqp.visualization.calibration import calibration_figure
+    from coopqp.visualization.loads import load_figure
+    from coopqp.visualization.timeline import timeline_figure
+
+    arms = [arm.with_tool(arm.tool_frame, name=name) for arm, name in zip(lift.cell.arms, NAMES, strict=True)]
+    cell = RobotCell(arms)
+    payload = Payload(mass=1.0, centre=lift.T_object_body.translation)
+    use = load_use(LoadShare(cell, lift.grasp, payload, internal_force=50.0), [0, 1, 2], [lift.q_start] * 3)
+    between = {"times_s": [0.0, 1.0], "distances_m": [0.1, 0.2], "time_s": 0.0, "closest_m": 0.1, "avoided": True,
+               "margin_m": 0.01, "between": NAMES[:2]}  # fmt: skip
+    run = replace(one, metadata={**one.metadata, "clearance": between})
+    spread = dict.fromkeys(("base", "base_deviation", "grip", "grip_deviation"), np.ones(6))
+    found = SimpleNamespace(
+        before=np.ones((2, 2)), after=np.ones((2, 2)), samples=np.arange(2),
+        corrections=[SimpleNamespace(arm=name, significant=True, **spread) for name in NAMES],
+    )  # fmt: skip
+    for figure in (
+        joint_figure(cell, still(cell)), load_figure(use), timeline_figure(run, read_run(lift.cell, one)),
+        plots.error_figure(lift.cell, {name: [one] for name in NAMES[:2]}), calibration_figure(found),  # type: ignore[arg-type]
+    ):  # fmt: skip
+        said = _texts(figure)
+        assert r"\$x^{" in said
+        assert r"\frac\$" in said
 
 
 @pytest.mark.slow

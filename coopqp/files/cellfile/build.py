@@ -34,6 +34,7 @@ from coopqp.files.cellfile.build_phases import build_program, first_pose
 from coopqp.files.cellfile.error import CellFileError
 from coopqp.files.cellfile.explain import explain, in_words_of_the_file
 from coopqp.files.cellfile.path_tables import HoldTable, LineTable, TimedTable, WaypointsTable
+from coopqp.files.cellfile.paths import folder_of
 from coopqp.files.cellfile.renamed import renewed
 from coopqp.files.cellfile.schema import (
     MAX_STEPS,
@@ -292,7 +293,7 @@ def load(file: Path) -> CellRun:
     """Read a cell file, build its objects, and test its controller. Every error names the file."""
     settings = read(file)
     with _errors_of(file):
-        run = replace(build(settings, file.parent), file=file)
+        run = replace(build(settings, folder_of(file)), file=file)
         run.controller()
         refuse_for_plant(run.scenario.path, run.plant())
         SensorMaps(run.scenario.cell, run.sensors).check()
@@ -303,7 +304,7 @@ def load_task(file: Path) -> CellTask:
     """Read the task of a cell file. The start is None if it is to be searched. Every error names the file."""
     settings = read(file)
     with _errors_of(file):
-        return _task(settings, file.parent)
+        return _task(settings, folder_of(file))
 
 
 @contextlib.contextmanager
@@ -323,7 +324,7 @@ def load_search(file: Path) -> tuple[CellFile, SearchTask]:
     with _errors_of(file):
         if settings.phases:
             raise CoopqpError("no way round is searched for phases: give the path of one phase, in a file of its own.")
-        return settings, _parts(settings, file.parent).search()
+        return settings, _parts(settings, folder_of(file)).search()
 
 
 class _Parts(NamedTuple):

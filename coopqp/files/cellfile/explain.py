@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import difflib
 import re
 from collections.abc import Callable, Sequence
 from datetime import date, time
@@ -10,7 +9,7 @@ from typing import Any
 
 from pydantic import ValidationError
 
-from coopqp.errors import printable, shortened, shown
+from coopqp.errors import listed, nearest, printable, shortened, shown
 
 #: Largest number of problems in one message.
 MAX_PROBLEMS = 5
@@ -88,9 +87,9 @@ def _single(problem: Any) -> str:
 
 
 def _unknown(given: Any, known: Sequence[str]) -> str:
-    near = difflib.get_close_matches(str(given), known, n=1)
+    near = nearest(str(given), known)
     hint = f"did you mean '{near[0]}'? " if near else ""
-    return f"there is no {_shown(given)}; {hint}known: {', '.join(known)}"
+    return f"there is no {_shown(given)}; {hint}known: {listed(known)}"
 
 
 def _expects_false(problem: Any) -> bool:

@@ -13,6 +13,11 @@ from coopqp.model.description import find_package
 _PACKAGE = "package://"
 
 
+def folder_of(file: Path) -> Path:
+    """The folder that paths in a file are relative to: its own, also where a link leads to the file."""
+    return (file.resolve() if file.is_symlink() else file).parent
+
+
 def resolve(text: str, folder: Path, where: str, *, package_dirs: Sequence[Path] = ()) -> Path:
     """The path that a text of a cell file means.
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import difflib
 import types
 import typing
 from collections.abc import Mapping
@@ -14,6 +13,7 @@ from pydantic import AfterValidator, BaseModel, ConfigDict, Field, create_model,
 from pydantic_core import PydanticCustomError
 
 from coopqp.checks import meanings
+from coopqp.errors import nearest, shortened
 
 #: Largest accepted length of a list of numbers.
 MAX_LIST = 10_000
@@ -30,12 +30,12 @@ class Table(BaseModel):
         if isinstance(data, Mapping):
             unknown = [str(key) for key in data if key not in cls.model_fields]
             if unknown:
-                near = difflib.get_close_matches(unknown[0], cls.model_fields, n=1)
+                near = nearest(unknown[0], cls.model_fields)
                 hint = f"did you mean '{near[0]}'? " if near else ""
                 raise PydanticCustomError(
                     "unknown_key",
                     "unknown key '{key}'; {hint}known: {known}",
-                    {"key": unknown[0], "hint": hint, "known": ", ".join(cls.model_fields)},
+                    {"key": shortened(unknown[0]), "hint": hint, "known": ", ".join(cls.model_fields)},
                 )
         return data
 

@@ -12,6 +12,7 @@ from ruamel.yaml.error import MarkedYAMLError, YAMLError
 from ruamel.yaml.events import AliasEvent, CollectionEndEvent, CollectionStartEvent
 
 from coopqp.files.cellfile.error import YAML_SUFFIXES, CellFileError
+from coopqp.reading import check_depth, read_file
 
 if sys.version_info >= (3, 11):
     import tomllib
@@ -20,7 +21,7 @@ else:
 
 #: Largest accepted file [bytes]. YAML has a smaller limit: its reader takes fifteen times as long.
 MAX_FILE_BYTES, MAX_YAML_BYTES = 1_000_000, 100_000
-#: Largest accepted nesting depth of YAML.
+#: Largest accepted nesting depth.
 _MAX_DEPTH = 50
 
 
@@ -33,13 +34,12 @@ def read_tables(file: Path) -> Any:
     is_yaml = file.suffix in YAML_SUFFIXES
     limit = MAX_YAML_BYTES if is_yaml else MAX_FILE_BYTES
     try:
-        if file.stat().st_size > limit:
-            raise CellFileError(f"{file} is larger than {limit} bytes and was not read.")
-        content = file.read_bytes()
+        text = read_file(file, limit).decode("utf-8-sig")  # Windows editors begin files with a mark
+        tables = _read_yaml(text) if is_yaml else tomllib.loads(text)
+        check_depth(tables, _MAX_DEPTH)
+        return tables
     except OSError as error:
-        raise CellFileError(f"cannot read {file}: {error.strerror}. Check the path.") from error
-    try:
-        return _read_yaml(content.decode()) if is_yaml else tomllib.loads(content.decode())
+        raise CellFileError(f"cannot read {error.filename}: {error.strerror}. Check the path.") from error
     except MarkedYAMLError as error:
         line = f", line {error.problem_mark.line + 1}" if error.problem_mark else ""
         raise CellFileError(f"{file}{line} is not YAML: {error.problem}.") from error

@@ -15,7 +15,7 @@ from coopqp.checks import as_floats
 from coopqp.files.cellfile.build import DEFAULT_DT, ELBOWS, CellRun, read
 from coopqp.files.cellfile.error import CellFileError
 from coopqp.files.cellfile.explain import explain
-from coopqp.files.cellfile.paths import resolve
+from coopqp.files.cellfile.paths import folder_of, resolve
 from coopqp.files.cellfile.renamed import renewed
 from coopqp.files.cellfile.schema import ArmTable, CellFile, RobotTable
 from coopqp.forces.calibration import Calibration
@@ -241,7 +241,7 @@ def settings_of(metadata: Mapping[str, Any], given: Path | None) -> tuple[CellFi
         CellFileError: the file does not exist or is no cell file, or there is none.
     """
     if given is not None:
-        return read(given), given.parent
+        return read(given), folder_of(given)
     tables = metadata.get("settings")
     if not isinstance(tables, Mapping):
         raise CellFileError(

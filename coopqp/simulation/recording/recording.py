@@ -20,6 +20,7 @@ from coopqp.model.cell import RobotCell
 from coopqp.model.grasp import Grasp
 from coopqp.model.limits import BindingLimit, LimitKind
 from coopqp.output import Interrupts, whole_file
+from coopqp.reading import check_depth, open_file
 from coopqp.shown import Shown
 from coopqp.simulation.recording.rows import parts, read_archive, unpacked_bytes, write_archive
 from coopqp.simulation.recording.scene import read_cell
@@ -31,6 +32,10 @@ MAX_RECORDING_BYTES = 2_000_000_000
 MAX_COMPRESSED_BYTES = 64 * 2**20
 
 
+#: Largest accepted nesting depth of what a recording says beside its arrays.
+_MOST_DEPTH = 100
+#: Bound of the size of a file, which is bounded by what it unpacks to.
+_ANY_SIZE = 2**63
 #: Time at which no recording ends [s]: a century.
 LONGEST = 3e9
 
@@ -201,15 +206,18 @@ class Recording(Shown):
             RecordingError: the file is missing, too large, not a recording, or inconsistent.
         """
         file = Path(path)
-        if not file.is_file():
-            there = "it is a folder" if file.is_dir() else "it is no file" if file.exists() else "there is no such file"
-            raise RecordingError(f"cannot read {file}: {there}. Check the path.")
+        try:
+            open_file(file, _ANY_SIZE).close()
+        except OSError as error:
+            there = "there is no such file" if isinstance(error, FileNotFoundError) else error.strerror
+            raise RecordingError(f"cannot read {error.filename}: {there}. Check the path.") from error
         try:
             size = unpacked_bytes(file)
             if size > MAX_RECORDING_BYTES:
                 raise RecordingError(f"{file} unpacks to {size} bytes, more than {MAX_RECORDING_BYTES}; not read.")
             content = read_archive(file, ("text", *_ARRAYS), _OPTIONAL)
             text = json.loads(str(content.pop("text")))
+            check_depth(text, _MOST_DEPTH)
             recording = Recording(
                 notes=tuple(map(str, text["notes"])), metadata=dict(text["metadata"]), meshes=meshes, **content
             )

@@ -24,6 +24,7 @@ from coopqp.checks import as_vector
 from coopqp.errors import CoopqpError
 from coopqp.model.cell import Arm, RobotCell
 from coopqp.paths.path import ObjectPath
+from coopqp.reading import open_file
 from coopqp.spatial import Array, Placement, as_placement
 
 #: Version of the format.
@@ -384,12 +385,14 @@ def _mesh_from_file(file: Path, scale: Array, arm: str) -> Any:
 
     if file.suffix.lower() not in _MESH_ENDINGS:
         raise SceneError(f"arm '{arm}': {file} is not a mesh file.")
-    if not file.is_file():
+    try:
+        open_file(file, MAX_MESH_BYTES).close()
+    except FileNotFoundError as error:
         raise SceneError(
-            f"arm '{arm}': the mesh {file} is gone. Put it back, or show the run without shapes (--sticks)."
-        )
-    if file.stat().st_size > MAX_MESH_BYTES:
-        raise SceneError(f"arm '{arm}': the mesh {file} is larger than {MAX_MESH_BYTES} bytes and was not read.")
+            f"arm '{arm}': the mesh {error.filename} is gone. Put it back, or show the run without shapes (--sticks)."
+        ) from error
+    except OSError as error:
+        raise SceneError(f"arm '{arm}': the mesh {error.filename} was not read: {error.strerror}.") from error
     try:
         return coal.MeshLoader().load(str(file), scale)
     except (ValueError, RuntimeError) as error:
