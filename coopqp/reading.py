@@ -30,8 +30,9 @@ def open_file(file: str | Path, most: int) -> IO[bytes]:
         try:
             found = os.fstat(handle)
             if not stat.S_ISREG(found.st_mode):
-                kind = "a folder" if stat.S_ISDIR(found.st_mode) else "no ordinary file"
-                raise OSError(errno.EINVAL, f"it is {kind}")
+                if stat.S_ISDIR(found.st_mode):
+                    raise OSError(errno.EISDIR, "it is a folder")
+                raise OSError(errno.EINVAL, "it is no ordinary file")
             if found.st_size > most:
                 raise OSError(errno.EFBIG, f"it is larger than {most} bytes")
             return open(handle, "rb")  # noqa: PTH123

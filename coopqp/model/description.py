@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import itertools
 import os
 from collections.abc import Sequence
 from pathlib import Path
@@ -10,7 +11,7 @@ from xml.etree import ElementTree
 from xml.parsers import expat
 
 from coopqp.errors import ModelError
-from coopqp.reading import read_file
+from coopqp.reading import open_file, read_file
 
 #: Largest accepted robot description [bytes].
 MAX_DESCRIPTION_BYTES = 20_000_000
@@ -18,6 +19,8 @@ MAX_DESCRIPTION_BYTES = 20_000_000
 MAX_NESTING = 500
 #: Largest accepted number of links: Pinocchio follows chains of them recursively and would crash.
 MAX_LINKS = 2000
+#: Largest number of files that an MJCF includes, and of those that it names; largest size of one of these [bytes].
+MAX_PARTS, MAX_NAMED, MAX_NAMED_BYTES = 100, 10_000, 100_000_000
 #: Largest number of folders above a description that are searched for its meshes.
 MAX_FOLDERS_ABOVE = 6
 #: Elements that stand for others.
@@ -93,18 +96,55 @@ def _is_xacro(root: ElementTree.Element) -> bool:
 
 
 def check_mjcf(file: Path, arm: str) -> None:
-    """Raise ModelError if a file is none for MuJoCo: its root is another, elements are nested too deep, or entities."""
-    depth = 0
+    """Check a file, and what it includes, before MuJoCo reads it.
 
-    def begin(tag: str, attributes: object) -> None:
+    Raises:
+        ModelError: its root is another, elements are nested too deep, it declares entities, or a file that it names is
+            no ordinary one.
+    """
+    parts, names, folders = [file], list[str](), {""}
+    for part in parts:
+        for tag, attributes in _elements(part, arm, is_part=part != file):
+            folders |= {value for key, value in attributes.items() if tag == "compiler" and key.endswith("dir")}
+            named = [value for key, value in attributes.items() if key.startswith("file") and value]
+            names += named
+            if tag in ("include", "model"):
+                below = [place / name for name in named for place in (file.parent, part.parent)]
+                parts += [found for found in dict.fromkeys(below) if found not in parts and _exists(found)]
+            if max(len(parts), len(folders)) > MAX_PARTS or len(names) > MAX_NAMED:
+                raise ModelError(f"arm '{arm}': {file} names too many files and was not read.")
+    for name, folder in itertools.product(dict.fromkeys(names), folders):
+        try:
+            open_file(file.parent / folder / name, MAX_NAMED_BYTES).close()
+        except (FileNotFoundError, IsADirectoryError, NotADirectoryError):
+            continue  # it is in another folder, or MuJoCo says that there is none
+        except OSError as error:
+            raise ModelError(
+                f"arm '{arm}': {file} names {error.filename}, which cannot be read: {error.strerror}."
+            ) from error
+
+
+def _exists(file: Path) -> bool:
+    try:
+        return file.exists()
+    except (OSError, ValueError):  # a name that no system has
+        return False
+
+
+def _elements(file: Path, arm: str, *, is_part: bool) -> list[tuple[str, dict[str, str]]]:
+    """The elements of an MJCF, or of a part that another one includes. Errors as of :func:`check_mjcf`."""
+    depth, found = 0, list[tuple[str, dict[str, str]]]()
+
+    def begin(tag: str, attributes: dict[str, str]) -> None:
         nonlocal depth
         depth += 1
-        if depth == 1 and tag != "mujoco":  # MuJoCo reads a URDF, too, in another way than Arm.from_urdf
+        if depth == 1 and tag != "mujoco" and not is_part:  # MuJoCo reads a URDF, in another way than Arm.from_urdf
             raise ModelError(
                 f"arm '{arm}': {file} is not a readable MJCF (its root is <{tag[:60]}>, not <mujoco>). Check the path."
             )
         if depth > MAX_NESTING:
             raise ModelError(f"arm '{arm}': the elements of {file} are nested more than {MAX_NESTING} deep.")
+        found.append((tag, attributes))
 
     def end(tag: str) -> None:
         nonlocal depth
@@ -115,9 +155,10 @@ def check_mjcf(file: Path, arm: str) -> None:
 
     content, parser = _content(file, arm), expat.ParserCreate()
     parser.StartElementHandler, parser.EndElementHandler, parser.EntityDeclHandler = begin, end, entity
-    # If the file is not XML, the MJCF reader reports it.
+    # If the file is not XML, MuJoCo reports it.
     with contextlib.suppress(expat.ExpatError, LookupError, ValueError):
         parser.Parse(content, True)
+    return found
 
 
 def mesh_folders(root: ElementTree.Element, file: Path, given: Sequence[str | Path]) -> list[str]:

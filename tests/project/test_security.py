@@ -45,8 +45,8 @@ TESTS = {
     "They are opened only if you ask for it (`--meshes`, `Recording.load(file, meshes=True)`).": (
         "tests/simulation/test_scene.py::test_a_recording_from_a_file_opens_no_mesh_unless_asked",
     ),
-    "Names from files reach a terminal, a table, a picture or a page only as text: control characters are escaped, cells "
-    "of a CSV table begin no formula, and pages run no script from a name.": (
+    "Names from files reach a terminal, a table, a picture or a page only as text: control characters are escaped, "
+    "cells of a CSV table begin no formula, and pages run no script from a name.": (
         "tests/cli/test_commands.py::test_control_characters_reach_no_terminal",
         "tests/cli/test_commands.py::test_no_cell_of_a_table_is_a_formula",
         "tests/visualization/test_notebook.py::test_names_are_escaped",

@@ -90,6 +90,24 @@ def test_what_is_no_ordinary_file_is_refused_by_every_reader(
             READERS[reader](tmp_path, Path("/proc/self/mem"))
 
 
+@pytest.mark.skipif(sys.platform != "linux", reason="files of Linux")
+@pytest.mark.parametrize("kind", ["mesh", "include", "part of an include", "model"])
+def test_what_an_mjcf_names_is_looked_at_before_it_is_read(kind: str, tmp_path: Path) -> None:
+    """MuJoCo would wait for a pipe."""
+    pipe, file, part = tmp_path / "parts" / "pipe.stl", tmp_path / "a.xml", tmp_path / "part.xml"
+    pipe.parent.mkdir()
+    os.mkfifo(pipe)
+    mesh = '<compiler meshdir="parts"/><asset><mesh name="m" file="pipe.stl"/></asset>'
+    part.write_text(f"<mujoco>{mesh}</mujoco>")
+    inside = {
+        "mesh": mesh, "include": '<include file="parts/pipe.stl"/>', "part of an include": '<include file="part.xml"/>',
+        "model": '<asset><model name="m" file="part.xml"/></asset>',
+    }[kind]  # fmt: skip
+    file.write_text(f'<mujoco>{inside}<worldbody><body name="t"><joint name="j"/></body></worldbody></mujoco>')
+    with pytest.raises(ModelError, match=r"pipe\.stl.*no ordinary file"):
+        Arm.from_mjcf("a", file, tool_frame="t", velocity_limits=1.0)
+
+
 def test_what_is_nested_deep_is_refused_by_name(tmp_path: Path) -> None:
     file, deep = tmp_path / "a.toml", ".".join(["a"] * 3000)
     for text in (f"{deep} = 1", f"[{deep}]", f"x = {'[' * 400}{']' * 400}", f"[[{deep}]]"):
