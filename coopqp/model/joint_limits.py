@@ -112,7 +112,7 @@ def model_limits(
 
 
 def narrow_to_soft_limits(model: pin.Model, root: ElementTree.Element) -> None:
-    """Put the soft position limits of a URDF into its model where they are narrower: a robot stops at them.
+    """Put the soft position limits of a URDF, which its parser took, into its model where they are narrower.
 
     Soft limits that leave a joint no room, as some files have them, are none.
     """
@@ -124,20 +124,11 @@ def narrow_to_soft_limits(model: pin.Model, root: ElementTree.Element) -> None:
         own = model.joints[model.getJointId(name)]
         if own.nq != 1:
             continue
-        lower = max(_number(safety.get("soft_lower_limit"), -np.inf), low[own.idx_q])
-        upper = min(_number(safety.get("soft_upper_limit"), np.inf), high[own.idx_q])
+        lower = max(float(safety.get("soft_lower_limit", "-inf")), low[own.idx_q])
+        upper = min(float(safety.get("soft_upper_limit", "inf")), high[own.idx_q])
         if lower < upper:
             low[own.idx_q], high[own.idx_q] = lower, upper
     model.lowerPositionLimit, model.upperPositionLimit = low, high
-
-
-def _number(text: str | None, otherwise: float) -> float:
-    """A number of a file; another one where it is missing or is none."""
-    try:
-        number = float(text) if text is not None else np.nan
-    except ValueError:
-        number = np.nan
-    return number if np.isfinite(number) else otherwise
 
 
 def _check_room(lower: Array, upper: Array, velocity: Array, acceleration: Array, where: Callable[[int], str]) -> None:
