@@ -30,6 +30,7 @@ from promise_cases import (
     screen,
     sensors,
     shared,
+    strangers,
 )
 
 KEYS = ("group", "case", "value", "bound", "unit", "holds")
@@ -43,6 +44,7 @@ GROUPS: dict[str, tuple[Callable[[bool], Iterator[promise_cases.Promise]], ...]]
     "programs": (programs.promises,),
     "screen": (screen.promises,),
     "shared": (shared.promises, robots.promises),
+    "robot": (strangers.promises,),
 }
 
 

@@ -56,7 +56,7 @@ def test_every_module_of_cases_is_in_a_group() -> None:
         if "\ndef promises(" in file.read_text(encoding="utf-8")
     }
     assert given == found
-    groups = ["chain", "forces", "planning", "clock", "operator", "programs", "screen", "shared"]
+    groups = ["chain", "forces", "planning", "clock", "operator", "programs", "screen", "shared", "robot"]
     assert list(promises.GROUPS) == groups
 
 

@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from promise_cases.strangers import doors
 from robots import joints_of
 
 from coopqp import InvalidInputError, QPController
@@ -78,29 +79,16 @@ def test_a_robot_goes_where_it_is_sent_stops_and_says_so(robot):
     _until(robot, lambda s: s.condition is Condition.STOPPED)
 
 
-def _doors(pid):
-    """The sockets of a process that another process can reach: those with a port or a name, as Linux lists them."""
-    links = [str(f.readlink()) for f in Path(f"/proc/{pid}/fd").iterdir() if f.is_symlink()]
-    own = {link[8:-1] for link in links if link.startswith("socket:[")}
-    found = set()
-    for kind, inode, named in (("udp", 9, 0), ("tcp", 9, 0), ("udp6", 9, 0), ("tcp6", 9, 0), ("unix", 6, 7)):
-        file = Path(f"/proc/{pid}/net/{kind}")
-        for row in [line.split() for line in file.read_text().splitlines()[1:]] if file.exists() else []:
-            if len(row) > max(inode, named) and row[inode] in own:
-                found.add((kind, row[inode]))
-    return found
-
-
 @pytest.mark.skipif(sys.platform != "linux", reason="reads /proc")
 def test_no_other_process_can_reach_a_robot_or_its_driver():
-    before = _doors(os.getpid())
+    before = doors(os.getpid())
     robot = SimDriver(["a"], [0.1])
     robot.connect()
     try:
         (child,) = Path(f"/proc/{os.getpid()}/task/{os.getpid()}/children").read_text().split()[-1:]
         assert "sim_process" in Path(f"/proc/{child}/cmdline").read_text()
-        assert _doors(child) == set()
-        assert _doors(os.getpid()) == before
+        assert doors(child) == set()
+        assert doors(os.getpid()) == before
     finally:
         robot.close()
 
