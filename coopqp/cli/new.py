@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import argparse
+import itertools
+import math
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
@@ -45,6 +47,9 @@ def _add_new(commands: Any) -> None:
         help="a URDF file, or the name of a robot (`coopqp schema --robots`, or NAME.urdf of an installed package); "
         "ROBOT:FRAME names the tool frame. Give it for each arm, two or more",
     )
+    unknown = 'of joints for which a URDF tells none (velocity="0")'
+    parser.add_argument("--speed", type=float, metavar="DEG_PER_S", help=f"largest speed {unknown}")
+    parser.add_argument("--sliding-speed", type=float, metavar="M_PER_S", help="the same of joints that slide")
     parser.add_argument("--object", type=float, nargs=3, metavar=("LX", "LY", "LZ"), help="sides of its box [m]")
     parser.add_argument("--mass", type=float, metavar="KG", help=f"mass of the object ({_MASS:g} kg)")
     parser.add_argument("--move", type=float, nargs=3, metavar=("X", "Y", "Z"), help="how far the object goes [m]")
@@ -72,7 +77,9 @@ def _run_new(arguments: argparse.Namespace) -> int:
     with reporter(quiet=arguments.quiet) as report:
         report.note("reading the arms")
         choices = _choices(robots)
-        arms = [_arm(choice, report.note) for choice in choices]
+        speeds = _speeds(arguments)
+        arms = [_arm(choice, speeds, report.note) for choice in choices]
+        _refuse_one_body(choices, arms)
     motion, mass = _motion(arguments, arms, asks=asks)
     with reporter(quiet=arguments.quiet) as report:
         report.note("looking for places of the bases")
@@ -150,20 +157,72 @@ def _choices(robots: Sequence[str]) -> list[Choice]:
     ]  # fmt: skip
 
 
-def _arm(choice: Choice, tell: Callable[[str], None]) -> Arm:
+def _arm(choice: Choice, speeds: Mapping[bool, float], tell: Callable[[str], None]) -> Arm:
     """The arm with its fingers locked; without shapes where its meshes cannot be read."""
     from coopqp.model.arm import Arm
     from coopqp.scenarios.arms import robot_arm
 
-    frame, locked = choice.guess.tool_frame, choice.guess.locked or None
+    frame = choice.guess.tool_frame
     if choice.robot:
         return robot_arm(choice.robot, name=choice.name, tool_frame=frame)
+    asked: dict[str, Any] = {"tool_frame": frame, "locked_joints": choice.guess.locked or None}
+    asked["velocity_limits"] = math.inf  # until it is known which ones the file tells
     try:
-        return Arm.from_urdf(choice.name, choice.file, tool_frame=frame, locked_joints=locked)
+        arm = Arm.from_urdf(choice.name, choice.file, **asked)
     except ModelError as error:  # of its meshes, if it can be read without them
-        arm = Arm.from_urdf(choice.name, choice.file, tool_frame=frame, geometry=False, locked_joints=locked)
+        arm = Arm.from_urdf(choice.name, choice.file, geometry=False, **asked)
         tell(f"arm {choice.name} is read without its shapes, with which nothing is checked: {error}")
-        return arm
+    return _limited(arm, speeds)
+
+
+def _speeds(arguments: argparse.Namespace) -> dict[bool, float]:
+    """The speeds that are given, of joints that turn [rad/s] and, under True, of those that slide [m/s]."""
+    from coopqp.checks import as_scalar
+
+    out = {}
+    if arguments.speed is not None:
+        out[False] = math.radians(as_scalar(arguments.speed, "--speed", high=1e6))
+    if arguments.sliding_speed is not None:
+        out[True] = as_scalar(arguments.sliding_speed, "--sliding-speed", high=1e3)
+    return out
+
+
+def _limited(arm: Arm, speeds: Mapping[bool, float]) -> Arm:
+    """The arm with the largest speeds of its file, or those that are given where the file tells none."""
+    import numpy as np
+
+    from coopqp.model.cell import RobotCell, slides
+    from coopqp.model.joint_limits import SMALLEST_LIMIT, UNLIMITED
+
+    told = np.array(arm.model.velocityLimit)
+    unknown = told < SMALLEST_LIMIT
+    for j, slide in enumerate(slides(RobotCell([arm]))):
+        if unknown[j] and slide not in speeds:
+            option = "--sliding-speed M_PER_S" if slide else "--speed DEG_PER_S"
+            raise CoopqpError(
+                f"arm '{arm.name}': its file tells no speed of joint '{arm.model.names[j + 1]}' (velocity=\"0\"). "
+                f"Give the one of the data sheet: {option}."
+            )
+        told[j] = speeds[slide] if unknown[j] else told[j] if told[j] < UNLIMITED else np.inf
+    return arm.with_limits(velocity=told)
+
+
+def _refuse_one_body(choices: Sequence[Choice], arms: Sequence[Arm]) -> None:
+    """Raise for two arms of one robot: each would get a base, and so a body, of its own."""
+    for (a, one), (b, other) in itertools.combinations(zip(choices, arms, strict=True), 2):
+        first, second = (_joints_to_tool(arm) for arm in (one, other))
+        if a.file == b.file and not (first <= second or second <= first):
+            frame = a.guess.tool_frame
+            raise CoopqpError(
+                f"{frame} and {b.guess.tool_frame} are tools of two arms of one robot, {a.file.name}; `coopqp new` "
+                "places robots of one arm. Write a cell file with a table [[robots]] for it, and for each tool a table "
+                f'[[arms]] with of and tool_frame = "{frame}". `coopqp schema --example torso_lift` is such a file.'
+            )
+
+
+def _joints_to_tool(arm: Arm) -> set[str]:
+    model = arm.model
+    return {model.names[j] for j in model.supports[model.frames[model.getFrameId(arm.tool_frame)].parentJoint]}
 
 
 def _guessed(choice: Choice) -> str:

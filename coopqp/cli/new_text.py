@@ -63,7 +63,11 @@ def draft_text(
             *_model_lines(choice, arm, into),
             f"base = {{ xyz_m = {_list(own.base_xyz)}{turned} }} # found; where does yours stand?",
         ]
-        if not (choice.robot and ROBOTS[choice.robot].acceleration):
+        if not (arm.limits.velocity <= np.array(arm.model.velocityLimit)).all():
+            lines.append(
+                f"limits = {_speeds(arm)} # --speed where the file tells none; accelerations may be added here"
+            )
+        elif not (choice.robot and ROBOTS[choice.robot].acceleration):
             lines.append(f"# limits = {_limits(arm)} # of the data sheet: `coopqp plan` needs them")
     lines += ["", "[grasp] # where the tools hold the object: they point down at its upper side", 'kind = "tools"']
     for choice, own in zip(choices, drafted.arms, strict=True):
@@ -112,6 +116,13 @@ def _model_lines(choice: Choice, arm: Arm, into: Path) -> list[str]:
     if arm.visual is None and arm.collision is None:
         lines.append("geometry = false # its meshes cannot be read: nothing of this arm is looked at for distances")
     return lines
+
+
+def _speeds(arm: Arm) -> str:
+    """The speeds of all joints, as they are asked for where the file tells none."""
+    sliding = np.array(slides(RobotCell([arm])))
+    speeds = np.where(sliding, arm.limits.velocity, np.rad2deg(arm.limits.velocity))
+    return f"{{ velocity_deg_per_s = {_list(np.round(speeds, 4))} }}"
 
 
 def _limits(arm: Arm) -> str:

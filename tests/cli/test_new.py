@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+import re
 import shutil
 from pathlib import Path
 
@@ -11,7 +13,7 @@ from written_urdfs import urdf
 from coopqp import load_cell_file
 from coopqp.cli import main as cli
 from coopqp.files.cellfile.text import read_tables
-from coopqp.scenarios import robot_path
+from coopqp.scenarios import robot_arm, robot_path
 
 
 @pytest.fixture(autouse=True)
@@ -133,6 +135,42 @@ def test_what_cannot_be_made_is_said_and_nothing_is_written(
     assert cli.main(["new", *arguments]) == status
     assert says in capsys.readouterr().err
     assert list(Path().iterdir()) == []
+
+
+def two_armed(velocity: str = "1") -> str:
+    """A URDF of a body with two arms of six joints."""
+    joints = "".join(
+        f'<link name="{s}{i + 1}"/><joint name="{s}_{i}" type="revolute"><parent link="{f"{s}{i}" if i else "body"}"/>'
+        f'<child link="{s}{i + 1}"/><origin xyz="0.1 {0.3 * (s == "l")} 0.2"/><axis xyz="{i % 2} {1 - i % 2} 0"/>'
+        f'<limit lower="-2" upper="2" velocity="{velocity}" effort="1"/></joint>'
+        for s in "lr"
+        for i in range(6)
+    )
+    return f'<robot name="two"><link name="body"/>{joints}</robot>'
+
+
+def test_two_arms_of_one_robot_are_not_two_robots(capsys: pytest.CaptureFixture[str]) -> None:
+    Path("two.urdf").write_text(two_armed(), encoding="utf-8")
+    assert cli.main(["new", "--arm", "two.urdf:l6", "--arm", "two.urdf:r6"]) == 2
+    said = capsys.readouterr().err
+    assert "l6 and r6 are tools of two arms of one robot, two.urdf" in said
+    assert "[[robots]]" in said
+    assert [path.name for path in Path().iterdir()] == ["two.urdf"]
+
+
+@pytest.mark.slow
+def test_speeds_that_a_file_does_not_tell_are_given(capsys: pytest.CaptureFixture[str]) -> None:
+    text = robot_path("rx90l").read_text(encoding="utf-8")
+    Path("mine.urdf").write_text(re.sub('velocity="[^"]*"', 'velocity="0"', text, count=1), encoding="utf-8")
+    arms = ["--arm", "mine.urdf:flange", "--arm", "arm7"]
+    assert cli.main(["new", *arms]) == 2
+    assert "its file tells no speed of joint 'joint_1' (velocity=\"0\"). Give" in capsys.readouterr().err
+    assert cli.main(["new", *arms, "--speed", "90", "--quiet"]) == 0
+    limits = read_tables(Path("my_cell.toml"))["arms"][0]["limits"]
+    assert limits["velocity_deg_per_s"][0] == 90
+    speeds = load_cell_file("my_cell.toml").scenario.cell.arms[0].limits.velocity
+    known = robot_arm("rx90l").limits.velocity
+    assert speeds.tolist() == pytest.approx([math.pi / 2, *known[1:]], abs=1e-5)
 
 
 @pytest.mark.slow
