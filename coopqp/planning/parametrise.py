@@ -19,8 +19,9 @@ from coopqp.lazy import needed
 from coopqp.planning.knots import Knots
 from coopqp.spatial import Array
 
-#: s is scaled to one of these lengths for toppra, whose tolerances are absolute; the next is tried where one fails.
-_LENGTHS = (10.0, 1.0, 50.0)
+#: toppra, whose tolerances are absolute, gets s in units in which the path has this length, and time in units in which
+#: s̈ of the hardest knot is 1: so a path of a millimetre is to it as one of a metre.
+_LENGTH = 10.0
 #: Directions in half a turn that give corners of the lines' hull, and the rounding of points on it.
 _DIRECTIONS, _ON_THE_HULL = 8, 1e-12
 #: Bound of ṡ² where no speed makes one, in toppra's s.
@@ -112,22 +113,27 @@ def fastest(limited: Limited) -> Array:
     lines = limited.acceleration
     binding = lines.take(outermost(lines.a / lines.bound, lines.b / lines.bound)) if lines.owner.size else lines
     limited = replace(limited, acceleration=binding)
-    for length in _LENGTHS:
-        speeds = _by_toppra(limited, length / limited.knots.s[-1])
-        if speeds is not None and np.isfinite(speeds).all():
-            squares: Array = np.asarray(speeds, dtype=float) ** 2
-            squares[0] = squares[-1] = 0.0
-            return squares
-    raise UndecidedError("the parametrisation failed numerically; give another number of knots")
+    speeds = _by_toppra(limited)
+    if speeds is None or not np.isfinite(speeds).all():
+        raise UndecidedError(
+            "the parametrisation of the path failed numerically, so its fastest motion is not known. Run the path as "
+            "it is, in its own time."
+        )
+    squares: Array = speeds**2
+    squares[0] = squares[-1] = 0.0
+    return squares
 
 
-def _by_toppra(limited: Limited, scale: float) -> Array | None:
-    """ṡ at each knot (K,), by toppra with s in units of 1/``scale``; None if it finds none."""
+def _by_toppra(limited: Limited) -> Array | None:
+    """ṡ at each knot (K,), by toppra; None if it finds none."""
     from toppra import constraint
     from toppra.algorithm import TOPPRA
     from toppra.interpolator import AbstractGeometricPath
 
-    knots = limited.knots
+    knots, lines = limited.knots, limited.acceleration
+    scale = _LENGTH / knots.s[-1]
+    hardest = float(np.abs(lines.a / lines.bound).max(initial=0.0)) / scale
+    tempo = np.sqrt(hardest) if hardest > 0.0 else 1.0  # toppra's unit of time [s]
     grid = knots.s * scale
 
     class KnotPath(AbstractGeometricPath):  # type: ignore[misc]
@@ -143,7 +149,7 @@ def _by_toppra(limited: Limited, scale: float) -> Array | None:
         """ṡ² by the joints' speeds."""
 
         def compute_constraint_params(self, path: Any, gridpoints: Any) -> Any:
-            bound = np.minimum(limited.square_bound() * scale**2, _LARGEST)
+            bound = np.minimum(limited.square_bound() * (scale * tempo) ** 2, _LARGEST)
             return None, None, None, None, None, None, np.column_stack([np.zeros(len(bound)), bound])
 
     class LineBound(constraint.LinearConstraint):  # type: ignore[misc]
@@ -155,7 +161,8 @@ def _by_toppra(limited: Limited, scale: float) -> Array | None:
 
         def compute_constraint_params(self, path: Any, gridpoints: Any) -> Any:
             lines = self.lines
-            a, b, c = (x / lines.bound for x in (lines.a / scale, lines.b / scale**2, lines.c))
+            a, b = lines.a / (scale * tempo**2), lines.b / (scale * tempo) ** 2
+            a, b, c = (x / lines.bound for x in (a, b, lines.c))
             size = a.shape[1]
             F, g = np.eye(size), np.ones(size)
             if not self.one_sided:
@@ -167,4 +174,4 @@ def _by_toppra(limited: Limited, scale: float) -> Array | None:
         bounds.append(LineBound(limited.further, one_sided=True))
     logging.getLogger("toppra").setLevel(logging.ERROR)  # the answer tells the same as its warnings
     speeds = TOPPRA(bounds, KnotPath(), gridpoints=grid, solver_wrapper="seidel").compute_parameterization(0.0, 0.0)[1]
-    return None if speeds is None else np.asarray(speeds, dtype=float) / scale
+    return None if speeds is None else np.asarray(speeds, dtype=float) / (scale * tempo)
