@@ -115,6 +115,7 @@ class PathCheck:
         remedies: changes that help, each checked; see :func:`find_remedies`.
         no_remedy: kinds of remedies that failed, and why.
         shared: per group of arms that share joints, where these are along the path.
+        tools: the segments of each tool's path where tools move on the object; None where only samples are known.
     """
 
     verdict: PathVerdict
@@ -130,6 +131,7 @@ class PathCheck:
     remedies: tuple[Remedy, ...] = ()
     no_remedy: tuple[str, ...] = ()
     shared: tuple[SharedWay, ...] = ()
+    tools: tuple[Segments | None, ...] = ()
 
     @property
     def feasible(self) -> bool:
@@ -161,11 +163,17 @@ class PathCheck:
 
     def proved_trajectory(self) -> CellTrajectory | None:
         """The motion of all joints that is proved, over the places of the path; None where nothing is."""
-        trajectories = [arm.chosen.trajectory for arm in self.arms if arm.chosen is not None]
-        segments = None if tools_move(self.path) else segments_of(self.path)
-        if self.verdict is not PathVerdict.CERTIFIED or self.q_start is None or segments is None:
+        if self.verdict is not PathVerdict.CERTIFIED or self.q_start is None:
             return None
-        return HeldTrajectory(self.cell, self.path, segments, trajectories, self.cell.positions(self.q_start))
+        trajectories = [arm.chosen.trajectory for arm in self.arms if arm.chosen is not None]
+        rest = self.cell.positions(self.q_start)
+        if tools_move(self.path):
+            motion = self.path.grasps
+            if any(tool is None for tool in self.tools) or motion is None or motion.leads:
+                return None
+            return MovingTrajectory(self.cell, self.path, trajectories, self.tools, rest)
+        segments = segments_of(self.path)
+        return None if segments is None else HeldTrajectory(self.cell, self.path, segments, trajectories, rest)
 
     def explain(self) -> str:
         """The verdict, a line per arm and one for distances, in sentences; then the remedies."""
@@ -304,7 +312,7 @@ def check_path(
             cell, grasp, path, samples, segments, arms, scene, cell.positions(start), any_start=q_start is None
         )
     found = _result(cell, grasp, path, arms, start, clearance, scene, given=q_start is not None)
-    return replace(found, shared=shared) if shared else found
+    return replace(found, shared=shared, tools=tuple(tools) if moves else ())
 
 
 def _distances_of_tools(

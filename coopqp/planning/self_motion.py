@@ -11,7 +11,6 @@ from coopqp.model.posture import PostureOptions
 from coopqp.paths.path import ObjectPath
 from coopqp.planning.check import check_path
 from coopqp.planning.clearance_check import Bodies
-from coopqp.planning.tools_on_object import tools_move
 
 
 def led_path(
@@ -25,11 +24,11 @@ def led_path(
 ) -> ObjectPath:
     """The path with elbows as :meth:`PathCheck.led_path` has them, for a run from a start.
 
-    The path itself without redundant arms; where a posture is asked for; where it was planned or has its elbows; and
-    where nothing is proved.
+    The path itself without redundant arms; where a posture is asked for; where it has its elbows; and where nothing is
+    proved.
     """
-    own = path.planned_share is not None or path.elbows is not None or posture.asks
-    if own or tools_move(path) or not path.known_ahead or all(len(columns) <= 6 for columns in moving_columns(cell)):
+    own = path.elbows is not None or posture.asks
+    if own or not path.known_ahead or all(len(columns) <= 6 for columns in moving_columns(cell)):
         return path
     try:
         return check_path(cell, grasp, path, q_start=q_start, scene=scene).led_path()

@@ -61,7 +61,6 @@ from coopqp.paths.scenario import Scenario
 from coopqp.paths.timed import TimedPath
 from coopqp.planning.self_motion import led_path
 from coopqp.planning.starts import find_start
-from coopqp.planning.tools_on_object import tools_move
 from coopqp.simulation.evaluation.assessment import Tolerances
 from coopqp.simulation.evaluation.closeness import default_scene, with_clearance
 from coopqp.simulation.events import Operate, begin_as
@@ -177,7 +176,7 @@ class CellRun:
 
     def led(self) -> CellRun:
         """The same run with its redundant arms led as its check proves; itself where nothing is proved or led."""
-        if not isinstance(self.options, QPOptions) or self.options.preview is None or tools_move(self.scenario.path):
+        if not isinstance(self.options, QPOptions) or self.options.preview is None:
             return self
         s, scene = self.scenario, self.scene if self.avoids else None
         path = led_path(s.cell, s.grasp, s.path, q_start=s.q_start, posture=self.options.posture, scene=scene)
