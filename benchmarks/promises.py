@@ -18,6 +18,7 @@ from common import Record
 from promise_cases import (
     bodies,
     braking,
+    certified,
     chain,
     clock,
     contacts,
@@ -44,7 +45,7 @@ GROUPS: dict[str, tuple[Callable[[bool], Iterator[promise_cases.Promise]], ...]]
     "programs": (programs.promises,),
     "screen": (screen.promises,),
     "shared": (shared.promises, robots.promises),
-    "robot": (strangers.promises,),
+    "robot": (strangers.promises, certified.promises),
 }
 
 

@@ -59,7 +59,7 @@ def _evading(count: int) -> Iterator[Promise]:
     while ran < count:
         seed += 1
         try:
-            task = _random(np.random.default_rng([77, seed]))
+            task = random_cell(np.random.default_rng([77, seed]))
             check = check_path(task.cell, task.grasp, task.path, q_start=task.q, scene=task.scene)
             if not check.feasible:
                 continue
@@ -127,7 +127,7 @@ class _Distances:
         return float(min(result.min_distance for result in self._placed.distanceResults))
 
 
-def _random(rng: np.random.Generator) -> _Cell:
+def random_cell(rng: np.random.Generator) -> _Cell:
     """One to three redundant arms, one or two lines, and spheres beside the arms."""
     arms, tools, q = [], [], []
     origin = pin.SE3(pin.exp3(rng.normal(size=3)), rng.uniform(-0.5, 0.5, 3))
@@ -150,11 +150,11 @@ def _random(rng: np.random.Generator) -> _Cell:
     cell = RobotCell(arms).with_limits(acceleration=float(rng.choice([5.0, 10.0, 20.0])))
     grasp, start = Grasp(tuple(tools)), np.concatenate(q)
     path = WaypointPath(poses, durations=[3.0] * (len(poses) - 1))
-    posts, scene = _beside(rng, cell, grasp, start)
+    posts, scene = beside(rng, cell, grasp, start)
     return _Cell(cell, grasp, path, start, posts, scene)
 
 
-def _beside(
+def beside(
     rng: np.random.Generator, cell: RobotCell, grasp: Grasp, q: Array
 ) -> tuple[list[tuple[float, Array]], CollisionScene]:
     """Up to 15 spheres near the links, clear of them at the start, and the scene without links that touch anyway."""

@@ -65,7 +65,7 @@ def _run_check(arguments: argparse.Namespace) -> int:
         check = _look(task, report, any_start=arguments.any_start)
         if arguments.remedies and not check.feasible:
             report.note("looking for remedies")
-            check = with_remedies(check)
+            check = with_remedies(check, progress=lambda kind, done, total: report.count(kind, done, total))
         offer = "" if arguments.quiet else _way_round(task, check, report)
         files = _write(check, arguments.json, picture)
     unjudged = _unjudged(task, check)

@@ -84,7 +84,7 @@ def _run_run(arguments: argparse.Namespace) -> int:
     from coopqp.simulation.events import differs_from, events_of, operating
     from coopqp.simulation.recording.recording import Recording
 
-    wanted, asked, place, note = {"recording"}, None, str(arguments.cell), ""
+    wanted, asked, place, notes = {"recording"}, None, str(arguments.cell), list[str]()
     run: Any = functools.partial(runs.obtain_run, place)
     if place not in SCENARIOS or arguments.cell.is_file():
         from coopqp.files.cellfile import load_cell_file, require_readers
@@ -102,7 +102,7 @@ def _run_run(arguments: argparse.Namespace) -> int:
             print_hints([*load_hints(task), *grip_hints(task)])
         output = task.settings.output
         wanted, asked = {product for product in runs.PRODUCTS if getattr(output, product)}, output.folder
-        place, run, note = task.scenario.name, task.run, task.scenario.cell.standing_note()
+        place, run, notes = task.scenario.name, task.run, task.scenario.cell.notes()
     products = [product for product in runs.PRODUCTS if product in wanted or getattr(arguments, product, False)]
     if arguments.view:
         from coopqp.visualization.viewer import require_viser
@@ -117,7 +117,7 @@ def _run_run(arguments: argparse.Namespace) -> int:
         run = functools.partial(runs.obtain_run, str(arguments.cell), operate=operate, begun=begun, **more)
     folder = runs.output_folder(place, asked, products, out=arguments.out, force=arguments.force)
     with reporter(quiet=arguments.quiet) as report:
-        if note:
+        for note in notes:
             report.note(note)
         try:
             recording = run(progress=_progress(report, place))

@@ -97,7 +97,7 @@ def _run(arguments: argparse.Namespace) -> int:
         run = load_cell_file(arguments.cell)
         _check_accelerations(run, arguments.cell)
         _check_starts(run, arguments.cell, arguments.starts)
-        if note := run.scenario.cell.standing_note():
+        for note in run.scenario.cell.notes():
             report.note(note)
         report.note("planning")
         q_start = run.scenario.q_start if arguments.starts == 1 else None

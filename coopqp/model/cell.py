@@ -126,6 +126,20 @@ class RobotCell(Shown):
         said = "moves no tool of its arm: it is" if one else "move no tool of their arm: they are"
         return f"{', '.join(names[:_NAMED])}{more} {said} locked where {'it stands' if one else 'they stand'}."
 
+    def speed_note(self) -> str:
+        """A sentence on the joints without a speed limit, which nothing slows down; empty without such joints."""
+        free = np.flatnonzero(~np.isfinite(self.limits.velocity))
+        if not len(free):
+            return ""
+        names = [self.joint_names[j] for j in free[:_NAMED]]
+        more = f" and {len(free) - _NAMED} more" if len(free) > _NAMED else ""
+        have, them = ("has", "it") if len(free) == 1 else ("have", "them")
+        return f"{', '.join(names)}{more} {have} no speed limit: nothing slows the motion down for {them}."
+
+    def notes(self) -> list[str]:
+        """What to know of the joints before they move: :meth:`standing_note` and :meth:`speed_note`, none empty."""
+        return [note for note in (self.standing_note(), self.speed_note()) if note]
+
     def index(self, arm: str | int) -> int:
         """Index of an arm, from its name or index."""
         if isinstance(arm, str):

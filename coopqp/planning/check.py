@@ -177,7 +177,7 @@ class PathCheck:
 
     def explain(self) -> str:
         """The verdict, a line per arm and one for distances, in sentences; then the remedies."""
-        has_scene = self.clearance is not None
+        has_scene = self.clearance is not None and self.clearance.pair is not None
         how = " and keep their distances" if has_scene else ""
         head = {
             PathVerdict.CERTIFIED: f"The arms can follow the whole path{how}: this is proved at every point of it.",
@@ -197,8 +197,7 @@ class PathCheck:
                 "For arms with more than six joints the proof holds for one motion of their elbows; a run follows it "
                 "on the check's led_path(), as coopqp run does."
             )
-        if note := self.cell.standing_note():
-            lines.append(note)
+        lines += self.cell.notes()
         lines += [f"remedy: {remedy}." for remedy in self.remedies]
         if not self.remedies:
             lines += [f"no remedy by {why}." for why in self.no_remedy]

@@ -10,7 +10,7 @@ from coopqp.paths.path import ObjectPath
 from coopqp.planning.arm_check import ArmCheck
 from coopqp.planning.branch_checks import PathVerdict, worst
 from coopqp.planning.clearance_check import ClearanceCheck
-from coopqp.programs.program import Program
+from coopqp.programs.program import PhaseSpan, Program
 
 #: A clock this close to the end of a phase belongs to it [s].
 _END = 1e-9
@@ -59,8 +59,9 @@ def phase_checks(
         for arm in arms
         if arm.verdict is PathVerdict.INFEASIBLE
     ]
-    if clearance is not None and clearance.stop is not None and (by := clearance.stopped_by) is not None:
-        stops.append((clearance.stop, "", f"{by.first} and {by.second} come inside their margin"))
+    near = "" if clearance is None or (by := clearance.stopped_by) is None else f"{by.first} and {by.second}"
+    if clearance is not None and clearance.stop is not None and clearance.verdict is PathVerdict.INFEASIBLE:
+        stops.append((clearance.stop, "", f"{near} come inside their margin"))
     until, by_arm, trouble = min(stops, key=lambda stop: stop[0]) if stops else (float("inf"), "", "")
     found = []
     for span in path.spans:
@@ -78,7 +79,10 @@ def phase_checks(
         verdict = worst([v for v, _ in verdicts])
         worse = [name for v, name in verdicts if v is verdict]
         arm = worse[0] if len(worse) == 1 and verdict is not PathVerdict.CERTIFIED else ""
-        found.append(PhaseCheck(**own, verdict=verdict, arm=arm))  # type: ignore[arg-type]
+        why = ""
+        if near and clearance is not None and verdict is PathVerdict.UNDECIDED and _stops_in(clearance, span):
+            why = f"{near} come inside their margin on the motion that was found"
+        found.append(PhaseCheck(**own, verdict=verdict, arm=arm, why=why))  # type: ignore[arg-type]
     return tuple(found)
 
 
@@ -93,6 +97,11 @@ def _verdict(arm: ArmCheck, start: float, end: float) -> PathVerdict:
         return arm.verdict
     proved = sum(max(min(b, end) - max(a, start), 0.0) for a, b in chosen.certified)
     return PathVerdict.CERTIFIED if proved >= (end - start) - _END else PathVerdict.SAMPLED
+
+
+def _stops_in(clearance: ClearanceCheck, span: PhaseSpan) -> bool:
+    """Whether a pair comes inside its margin first in a phase."""
+    return clearance.stop is not None and span.start - _END <= clearance.stop < span.end - _END
 
 
 def _of_distances(clearance: ClearanceCheck, start: float, end: float) -> PathVerdict:

@@ -7,7 +7,7 @@ the path, serves both. Every remedy is checked before it is reported.
 from __future__ import annotations
 
 import itertools
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from dataclasses import replace
 from typing import Any, final
 
@@ -25,6 +25,8 @@ from coopqp.planning.check import PathCheck, Remedy, check_path
 from coopqp.planning.tools_on_object import tools_move
 from coopqp.spatial import Array
 
+#: Is told what is tried, and how many of how many tries are done.
+Progress = Callable[[str, int, int], object]
 #: Rolls of the tool [deg], in the order in which they are tried.
 _ROLLS = (180.0, 90.0, -90.0, 45.0, -45.0, 135.0, -135.0, *np.arange(-165.0, 180.0, 30.0).tolist())
 #: Distances of the path or of a base [m], the least first, and number of found places that are checked.
@@ -56,7 +58,7 @@ class Remedies(tuple[Remedy, ...]):
         return found
 
 
-def find_remedies(check: PathCheck) -> Remedies:
+def find_remedies(check: PathCheck, *, progress: Progress | None = None) -> Remedies:
     """Remedies for a path that is INFEASIBLE or UNDECIDED, the simplest first; none for other verdicts.
 
     Each kind is tried for the arms in trouble, and one of each kind is returned: the least change that was found. Its
@@ -64,6 +66,7 @@ def find_remedies(check: PathCheck) -> Remedies:
 
     Args:
         check: the answer of :func:`check_path`.
+        progress: is told what is tried, and how many of how many tries are done; a search may take a minute.
     """
     if check.feasible:
         return Remedies()
@@ -75,7 +78,7 @@ def find_remedies(check: PathCheck) -> Remedies:
             return Remedies.of((Remedy(kind="branch", text=f"start {arms} in another branch", check=base),))
     if tools_move(check.path):
         return Remedies.of(("a roll, a shift or another base: they are not searched where tools move on the object",))
-    search = _Search(base)
+    search = _Search(base, progress)
     if not search.bad:  # the arms follow the path, but come too close
         return Remedies.of((search.shift(),))
     return Remedies.of((search.roll(), search.shift(), search.bases()))
@@ -103,13 +106,33 @@ def _listed(names: list[str]) -> str:
 class _Search:
     """Remedies of one task whose arms have no start."""
 
-    def __init__(self, check: PathCheck) -> None:
-        self.check = check
+    def __init__(self, check: PathCheck, progress: Progress | None) -> None:
+        self.check, self._progress = check, progress
         self.samples = sample_path(check.path, check.grasp)
         self.arms = [ArmKinematics(arm) for arm in check.cell.arms]
         self.bad = [k for k, arm in enumerate(check.arms) if not follows(arm.verdict)]
         self._scores: dict[tuple[int, tuple[float, ...], float], float] = {}
         self._verdict = ""  # verdict of the last check
+        self._kind, self._done = "", 0
+        rolls = len(self.bad) * len(_ROLLS)
+        #: Tries of each kind at most: places that are scored, and changes that are checked. Bases ask the same places.
+        self._most = {
+            "rolling tools": rolls + _CHECKED,
+            "moving the path": len(self.arms) * _MOST_PLACES + _CHECKED,
+            "moving bases": _CHECKED,
+        }
+
+    def _begin(self, kind: str) -> None:
+        """The tries of a kind begin; those of the kinds before it are done."""
+        kinds = list(self._most)
+        self._kind, self._done = kind, sum(self._most[k] for k in kinds[: kinds.index(kind)])
+        self._tell(0)
+
+    def _tell(self, tries: int = 1) -> None:
+        self._done += tries
+        if self._progress is not None:
+            total = sum(self._most.values())
+            self._progress(self._kind, min(self._done, total), total)
 
     # -- a first look --------------------------------------------------------------------------------------------
 
@@ -117,6 +140,7 @@ class _Search:
         """Score of an arm on the path moved by ``shift`` in the world [m], its tool rolled; −inf if it fails."""
         key = k, tuple(shift.tolist()), roll
         if key not in self._scores:
+            self._tell()
             moved = PathSamples(
                 self.samples.clocks, tuple(pin.SE3(T.rotation, T.translation + shift) for T in self.samples.poses)
             )
@@ -131,6 +155,7 @@ class _Search:
         scene = self.check.scene
         if scene is not None and (cell is not scene.cell or grasp is not self.check.grasp):
             scene = scene.of_cell(cell, grasp)
+        self._tell()
         answer = check_path(cell, grasp, path, scene=scene)
         self._verdict = answer.verdict.value
         return answer if answer.feasible else None
@@ -139,6 +164,7 @@ class _Search:
 
     def roll(self) -> Remedy | str:
         """Roll the tool of each arm in trouble; or why this does not help."""
+        self._begin("rolling tools")
         c, still = self.check, np.zeros(3)
         options: list[list[float]] = []
         for k in self.bad:
@@ -158,6 +184,7 @@ class _Search:
 
     def shift(self) -> Remedy | str:
         """Move the whole path; or why this does not help."""
+        self._begin("moving the path")
         c, tried = self.check, 0
         order = [*self.bad, *(k for k in range(len(c.cell)) if k not in self.bad)]
         for places in _PLACES:
@@ -187,6 +214,7 @@ class _Search:
 
     def bases(self) -> Remedy | str:
         """Move the base of each arm in trouble: by −D where the path moved by D is followed; or why this is no help."""
+        self._begin("moving bases")
         c = self.check
         options: list[list[Array]] = []
         units = [arms for arms in c.cell.bases if not set(arms).isdisjoint(self.bad)]
@@ -266,7 +294,7 @@ class _ShiftedPath(ObjectPath):
         return self._path.next_breakpoint(clock)
 
 
-def with_remedies(check: PathCheck) -> PathCheck:
-    """The same answer with its remedies."""
-    found = find_remedies(check)
+def with_remedies(check: PathCheck, *, progress: Progress | None = None) -> PathCheck:
+    """The same answer with its remedies; ``progress`` as of :func:`find_remedies`."""
+    found = find_remedies(check, progress=progress)
     return replace(check, remedies=tuple(found), no_remedy=found.failed)

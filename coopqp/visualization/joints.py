@@ -47,9 +47,8 @@ def joint_figure(cell: RobotCell, recording: Recording) -> Figure:
         return share  # NaN without limit
 
     times, position = drawn_rows(recording, len(recording.time), positions)
-    starts, speed = drawn_rows(
-        recording, recording.n_steps, lambda part: 100.0 * recording.velocity[part] / limits.velocity
-    )
+    scale = np.where(np.isfinite(limits.velocity), limits.velocity, np.nan)  # NaN without limit, too
+    starts, speed = drawn_rows(recording, recording.n_steps, lambda part: 100.0 * recording.velocity[part] / scale)
     starts, speed = np.append(starts, recording.time[-1]), np.concatenate([speed, speed[-1:]])
     shown = _tightest(cell, position, speed)
     columns, blocks, width = arm_grid(len(shown), most=2 if len(shown) == 4 else 3)
@@ -64,7 +63,8 @@ def joint_figure(cell: RobotCell, recording: Recording) -> Figure:
     grid = figure.subplots(
         3 * blocks, columns, squeeze=False, gridspec_kw={"height_ratios": [_POSITION, _SPEED, legend] * blocks}
     )
-    reach = 1.15 * max(5.0, float(np.nanmax(np.abs(speed[:, _coordinates(cell, shown)]), initial=0.0)))
+    drawn = np.nan_to_num(np.abs(speed[:, _coordinates(cell, shown)]))
+    reach = 1.15 * max(5.0, float(drawn.max(initial=0.0)))
     for place, (k, (top, bottom, below)) in enumerate(zip(shown, arm_panels(grid, len(shown)), strict=True)):
         joints = cell.columns[k]
         lines = _draw(top, bottom, (times, position[:, joints]), (starts, speed[:, joints]))
@@ -79,7 +79,7 @@ def _tightest(cell: RobotCell, position: Array, speed: Array) -> list[int]:
     """The arms that are shown, in their order."""
     if len(cell) <= MOST_ARMS:
         return list(range(len(cell)))
-    used = np.fmax(np.abs(position).max(axis=0), 0.01 * np.abs(speed).max(axis=0, initial=0.0))
+    used = np.fmax(np.abs(position).max(axis=0), 0.01 * np.nan_to_num(np.abs(speed)).max(axis=0, initial=0.0))
     closest = [float(np.nanmax(used[s], initial=0.0)) for s in cell.columns]
     return sorted(sorted(range(len(cell)), key=lambda k: -closest[k])[:MOST_ARMS])
 
@@ -89,11 +89,15 @@ def _coordinates(cell: RobotCell, arms: list[int]) -> list[int]:
 
 
 def _names(cell: RobotCell, arm: int) -> list[str]:
-    """The names of an arm's joints; those without position limits are marked."""
-    joints = cell.columns[arm]
-    bounded = np.isfinite(cell.limits.lower[joints]) & np.isfinite(cell.limits.upper[joints])
-    names = [cell.joint_names[j].split("/", 1)[1] for j in joints]
-    return [label(name if has else f"{name} (no limit)") for name, has in zip(names, bounded, strict=True)]
+    """The names of an arm's joints; those without limits are marked."""
+    limits, names = cell.limits, []
+    for j in cell.columns[arm].tolist():
+        bounded = np.isfinite(limits.lower[j]) and np.isfinite(limits.upper[j])
+        lacks = [] if bounded else ["no limit"]
+        lacks += [] if np.isfinite(limits.velocity[j]) else ["no speed limit"]
+        name = cell.joint_names[j].split("/", 1)[1]
+        names.append(label(f"{name} ({', '.join(lacks)})" if lacks else name))
+    return names
 
 
 def _draw(top: Any, bottom: Any, positions: tuple[Array, Array], speeds: tuple[Array, Array]) -> list[Any]:

@@ -82,7 +82,8 @@ def _step(step: ControlStep) -> str:
     rows = []
     for name, own in cell.blocks.items():
         j = own.start + int(share[own].argmax())
-        rows.append((name, f"{100.0 * share[j]:.2f} %", cell.joint_names[j].split("/", 1)[1]))
+        said = f"{100.0 * share[j]:.2f} %" if np.isfinite(cell.limits.velocity[own]).any() else "no limit"
+        rows.append((name, said, cell.joint_names[j].split("/", 1)[1]))
     good = step.status not in (Status.BLOCKED, Status.OFF_PATH, Status.HOLDING, Status.FAULT)
     head = (
         f'<b style="color: {_GOOD if good else _BAD}">{_text(step.status.value)}</b>, '

@@ -11,10 +11,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from coopqp import load_cell_file
+from coopqp import TimedPath, load_cell_file
 from coopqp.cli import main as cli
 from coopqp.files import CellFileError
-from coopqp.files.cellfile import example_path
+from coopqp.files.cellfile import example_path, load_cell_task
 from coopqp.files.cellfile.searched import SearchTask
 from coopqp.planning import Route
 
@@ -60,6 +60,15 @@ def test_a_way_is_written_that_a_check_proves_and_a_run_follows(
     assert cli.main(["run", str(way), "--out", str(tmp_path / "run"), "--quiet"]) == 0
     assert cli.main(arguments) == 2
     assert "exists" in capsys.readouterr().err
+
+
+@pytest.mark.slow
+def test_a_search_finds_the_way_again_that_was_proved(tmp_path: Path) -> None:
+    file = cell_file(tmp_path)  # without what ends the search
+    first, again = (load_cell_task(file).path for _ in range(2))
+    assert isinstance(first, TimedPath)
+    assert isinstance(again, TimedPath)
+    assert first.record() == again.record()
 
 
 @pytest.mark.slow

@@ -381,7 +381,7 @@ def test_a_search_of_a_file_is_asked_as_its_table_says(tmp_path: Path) -> None:
     assert search.q_start is None
     assert search.scene is not None
     plain = load_search(written(tmp_path, SEARCHED))[1]
-    assert plain.options == {"clearance": 0.0, "time_limit": 10.0, "nodes": None, "seed": 0}
+    assert plain.options == {"clearance": 0.0, "time_limit": 10.0, "nodes": 100_000, "seed": 0}
     assert isinstance(plain.goal, pin.SE3)
     np.testing.assert_array_equal(plain.goal.translation, [0.9, 0.1, 0.1])
     assert plain.speed == 0.25

@@ -475,6 +475,20 @@ def test_joints_to_lock_are_a_dictionary(tmp_path: Path) -> None:
     assert list(arm.model.names)[1:] == ["turn"]
 
 
+def test_joints_without_a_speed_limit_are_told(tmp_path: Path) -> None:
+    file = tmp_path / "hand.urdf"
+    file.write_text(fingers("a", "b", "c", mimic=False))
+    arm = Arm.from_urdf("h", file, tool_frame="hand")
+    assert RobotCell([arm]).speed_note() == ""
+    some = arm.with_limits(velocity=[1.0, np.inf, 1.0, 1.0])
+    assert RobotCell([some]).speed_note() == "h/a has no speed limit: nothing slows the motion down for it."
+    free = RobotCell([arm.with_limits(velocity=np.inf)])
+    assert free.speed_note() == (
+        "h/turn, h/a, h/b and 1 more have no speed limit: nothing slows the motion down for them."
+    )
+    assert free.notes() == [free.standing_note(), free.speed_note()]
+
+
 @pytest.mark.parametrize(
     ("names", "says"),
     [

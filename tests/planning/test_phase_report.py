@@ -122,6 +122,13 @@ def test_a_pair_inside_its_margin_ends_the_phases(task: Scenario, program: Progr
     assert found == ["infeasible; bar and post come inside their margin.", "not reached.", "not reached."]
 
 
+def test_a_pair_that_another_elbow_may_evade_decides_no_phase(task: Scenario, program: Program) -> None:
+    """The phases are no worse than the verdict on the distances itself."""
+    near = distances(UNDECIDED, stop=1.5, stopped_by=NearPair("elbow", "post", 0.01), undecided=np.array([[1.5, 4.0]]))
+    why = "elbow and post come inside their margin on the motion that was found"
+    assert lines(program, [arm(task, "a")], near) == ["certified.", f"undecided; {why}.", "undecided."]
+
+
 def test_the_record_of_a_phase_is_plain(task: Scenario, program: Program) -> None:
     ends = arm(task, "b", INFEASIBLE, until=1.5, certified=np.array([[0.0, 1.5]]))
     _, second, third = (p.record() for p in phase_checks(program, [ends], None))

@@ -133,9 +133,10 @@ def test_the_verdict_is_a_sentence_with_or_without_distances(
 ) -> None:
     alone = replace(check, verdict=verdict, given=given)
     assert alone.explain().splitlines()[0] == head.format("") + end
-    both = replace(alone, clearance=distances())
+    both = replace(alone, clearance=distances(pair=NearPair("a", "b", 1.0)))
     assert both.explain().splitlines()[0] == head.format(" and keep their distances") + end
-    assert both.explain().splitlines()[-1] == "distances: no pair keeps one."
+    none = replace(alone, clearance=distances()).explain().splitlines()
+    assert (none[0], none[-1]) == (head.format("") + end, "distances: no pair keeps one.")
     assert len(alone.explain().splitlines()) == 1 + 3
 
 

@@ -45,6 +45,34 @@ def plan_of(scenario: Scenario, **options: Any) -> TimedPath:
     return time_path(scenario.cell, scenario.grasp, scenario.path, q_start=scenario.q_start, **options)
 
 
+@pytest.mark.parametrize("length", [1e-4, 2e-3, 6e-3])
+def test_short_lines_have_plans_that_are_those_of_long_ones(length: float) -> None:
+    """At accelerations alone a line of a share of the length takes its square root of the time, twice as long each."""
+    task = limited(dual_arm7(), 10.0)
+    cell = task.cell.with_limits(velocity=100.0)
+    T = task.path.pose(0.0)
+    times = [
+        time_path(
+            cell, task.grasp, LinePath.displaced(T, translation=(0.0, 0.0, way), duration=1.0), q_start=task.q_start
+        ).duration
+        for way in (length, 0.25 * length)
+    ]
+    assert times[0] / times[1] == pytest.approx(2.0, rel=2e-2)
+
+
+def test_a_polyline_of_many_short_lines_has_a_plan(rng: Any) -> None:
+    task = limited(paper_lift(), 5.0)
+    poses = [task.path.pose(0.0)]
+    for length in 10.0 ** rng.uniform(-5.0, -3.0, 12):
+        way = rng.normal(size=3)
+        poses.append(pin.SE3(poses[0].rotation, poses[-1].translation + length * way / np.linalg.norm(way)))
+    path = time_path(
+        task.cell, task.grasp, WaypointPath(poses, durations=[1.0] * 12), q_start=task.q_start, knots=60
+    )  # fmt: skip
+    assert 0.0 < path.duration < 1.0
+    assert path.profile.use.max() < 1.01
+
+
 # -- lines that never bind ---------------------------------------------------------------------------------------------
 
 

@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from coopqp import InvalidInputError, Recording, Status
-from coopqp.scenarios import Scenario
+from coopqp import Arm, InvalidInputError, Recording, RobotCell, Status
+from coopqp.scenarios import Scenario, robot_path
 from coopqp.simulation import RecordingError, ViolationKind, check_run, evaluate, read_run
 from coopqp.simulation.evaluation.assessment import Finding
 from coopqp.simulation.evaluation.figures import run_figures
@@ -367,6 +367,23 @@ def test_a_joint_outside_is_told_with_its_amount_and_since_when(paper: Scenario)
     q[3, 13] = lower[13] + np.deg2rad(1.5)
     inside = finding(paper, at_rest(paper, q_command=q), POSITIONS)
     assert inside.answer == "closest: slave_2/joint_2, 1.5° inside"
+
+
+def test_a_joint_that_moves_no_tool_is_told_outside_alone(paper: Scenario) -> None:
+    """Such as fingers, which stand at their limit when they are closed."""
+    file = robot_path("rx90l")
+    arms = [
+        Arm.from_urdf(arm.name, file, tool_frame="wrist_link", T_world_base=arm.T_world_base)
+        for arm in paper.cell.arms
+    ]  # fmt: skip
+    hands = replace(paper, cell=RobotCell(arms))
+    q = np.zeros((STEPS + 1, 18))
+    q[:, [5, 11, 17]] = hands.cell.limits.upper[5]
+    answer = finding(hands, at_rest(hands, q=q, q_command=q), POSITIONS).answer
+    assert answer.startswith("closest: ")
+    assert "joint_6" not in answer
+    q[:, 11] += np.deg2rad(0.5)
+    assert finding(hands, at_rest(hands, q=q, q_command=q), POSITIONS).answer == "slave_1/joint_6 is 0.5° outside"
     q[4:6, 13] = np.nan
     lost = finding(paper, at_rest(paper, q_command=q), POSITIONS)
     assert (lost.answer, lost.cause) == ("not finite", "not finite since 0.400 s")

@@ -185,7 +185,11 @@ def test_many_arms_are_drawn_by_those_closest_to_a_limit(make_cell: Callable[...
 @pytest.mark.slow
 def test_joints_without_limits_leave_a_gap(lift: Scenario, one: Recording) -> None:
     cell = RobotCell([arm.with_limits(lower=-np.inf, upper=np.inf, velocity=np.inf) for arm in lift.cell.arms])
-    style.figure_bytes(joint_figure(cell, one), dpi=40)
+    figure = joint_figure(cell, one)
+    style.figure_bytes(figure, dpi=40)
+    assert all(np.isnan(line.get_ydata()[:-1]).all() for line in figure.axes[3].lines[:6])  # not 0 % of no limit
+    (text, *_) = (t.get_text() for axes in figure.axes if (legend := axes.get_legend()) for t in legend.get_texts())
+    assert " ".join(text.split()).endswith("(no limit, no speed limit)")
 
 
 def test_the_lift_has_four_frames(lift: Scenario, one: Recording) -> None:

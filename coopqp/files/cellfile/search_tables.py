@@ -56,9 +56,10 @@ class SearchTable(Table):
         default=0.0, description="distance that is kept beyond the margins of the table collision"
     )
     time_limit_s: Seconds = Field(default=10.0, description="the longest search")
-    nodes: Annotated[int, Ge(1), Le(MAX_NODES)] | None = Field(
-        default=None,
-        description="poses, and samples that lead to none, that end the search: the same way again",
+    nodes: Annotated[int, Ge(1), Le(MAX_NODES)] = Field(
+        # A number, and not None: no clock shapes the way, so that every command finds, proves and runs the same one.
+        default=100_000,
+        description="poses, and samples that lead to none, that end the search",
     )
     seed: Annotated[int, Ge(0)] = Field(default=0, description="seed of the search")
     speed_m_per_s: Annotated[float, Ge(1e-3), Le(10.0)] = Field(

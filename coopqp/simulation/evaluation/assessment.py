@@ -15,7 +15,7 @@ import pinocchio as pin
 from coopqp.checks import Doc, as_options, documented, keep_scalars
 from coopqp.collision.pairs import pairs_said
 from coopqp.control.interface import Status
-from coopqp.model.cell import RobotCell, slides
+from coopqp.model.cell import RobotCell, slides, standing
 from coopqp.planning.clearance_check import remark
 from coopqp.simulation.evaluation import metrics
 from coopqp.simulation.evaluation.figures import ramps
@@ -297,9 +297,16 @@ def _largest(
 
 
 def _within_limits(cell: RobotCell, recording: Recording, part: slice) -> Array:
-    """Distance of the commanded joints from the nearer position limit (T, nv) [rad or m]; inf without limit."""
+    """Distance of the commanded joints from the nearer position limit (T, nv) [rad or m]; inf without limit.
+
+    Joints that move no tool, such as fingers, are where they stand: inf inside their limits.
+    """
     q = cell.positions(recording.q_command[part])
-    return np.minimum(q - cell.limits.lower, cell.limits.upper - q)
+    margins = np.minimum(q - cell.limits.lower, cell.limits.upper - q)
+    for own, still in zip(cell.columns, standing(cell), strict=True):
+        stands = margins[:, own[still]]
+        margins[:, own[still]] = np.where(stands >= -POSITION_ROUNDING, np.inf, stands)
+    return margins
 
 
 def _rates(cell: RobotCell, recording: Recording) -> Finding:
