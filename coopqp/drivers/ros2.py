@@ -20,7 +20,7 @@ from coopqp.checks import Doc, as_options, documented, keep_scalars
 from coopqp.drivers.driver import RobotState
 from coopqp.drivers.process_link import ProcessDriver
 from coopqp.drivers.robot_process import serve
-from coopqp.drivers.ros2_domain import Participant, check_domain, check_topic, require_cyclone, taken
+from coopqp.drivers.ros2_domain import OneSender, Participant, check_domain, check_topic, require_cyclone, taken
 from coopqp.errors import InvalidInputError
 from coopqp.spatial import Array
 
@@ -109,6 +109,7 @@ class Ros2Robot:
     def __init__(self, joints: Sequence[str], options: Ros2Options) -> None:
         self._options, self.interpolates = options, options.sends == "trajectory"
         self._names = [options.joint_prefix + joint for joint in joints]
+        self._sender, self._wrench_sender = OneSender("the joints of this robot"), OneSender("its wrench")
         self._last: tuple[float, Array] | None = None
         self._wrench: tuple[float, Array] | None = None
 
@@ -142,7 +143,7 @@ class Ros2Robot:
             order = [names.index(name) for name in self._names]
         except ValueError:  # another robot's
             return None
-        if len(sample.position) != len(names):
+        if len(sample.position) != len(names) or not self._sender.passes(sample):
             return None
         q = np.array(sample.position)[order]
         stamp = sample.header.stamp.seconds or time.monotonic()
@@ -160,6 +161,8 @@ class Ros2Robot:
             return
         sign = 1.0 if self._options.wrench_acts_on == "object" else -1.0
         for sample in taken(self._wrenches, self._messages.WrenchStamped):
+            if not self._wrench_sender.passes(sample):
+                continue
             f, t = sample.wrench.force, sample.wrench.torque
             self._wrench = time.monotonic(), sign * np.array([f.x, f.y, f.z, t.x, t.y, t.z])
 

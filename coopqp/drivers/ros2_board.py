@@ -24,7 +24,7 @@ from coopqp.checks import Doc, as_options, documented
 from coopqp.control.interface import ControlStep, Status
 from coopqp.control.operator.hands import HAND_SILENCE
 from coopqp.drivers.ring import RowRing
-from coopqp.drivers.ros2_domain import Participant, check_domain, check_topic, require_cyclone, taken
+from coopqp.drivers.ros2_domain import OneSender, Participant, check_domain, check_topic, require_cyclone, taken
 from coopqp.errors import CoopqpError, InvalidInputError
 from coopqp.spatial import Array
 
@@ -174,6 +174,7 @@ class _Board:
 
         o, self._messages, self._name = options, messages, name
         self._frame, self._told = o.frame, False
+        self._hand = OneSender("targets", silence=HAND_SILENCE)
         participant = self._participant = Participant(o.domain, localhost=o.localhost)
         self._status = participant.writer(o.status_topic, messages.DiagnosticArray) if o.status_topic else None
         self._object = participant.writer(o.object_topic, messages.PoseStamped) if o.object_topic else None
@@ -204,6 +205,8 @@ class _Board:
                     self._told = True
                     text = f"ROS 2: targets in frame '{sample.header.frame_id}' are ignored; frame is '{self._frame}'"
                     print(text, file=sys.stderr, flush=True)
+                continue
+            if not self._hand.passes(sample):
                 continue
             p, r = sample.pose.position, sample.pose.orientation
             turn = np.array([r.x, r.y, r.z, r.w])

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import math
+import sys
+import time
 from typing import Any, final
 
 from coopqp.checks import as_count
@@ -90,3 +93,31 @@ class Participant:
 def taken(reader: Any, kind: Any) -> list[Any]:
     """The reader's messages since the last time, without the notices that a peer has gone."""
     return [sample for sample in reader.take(KEPT) if isinstance(sample, kind)]
+
+
+@final
+class OneSender:
+    """Lets the messages of one sender of a topic through, the first that is heard. Those of others are counted.
+
+    Args:
+        what: what it sends, for the line that is printed once.
+        silence: after so long without a message of it another one may follow it [s].
+    """
+
+    def __init__(self, what: str, *, silence: float = math.inf) -> None:
+        self._what, self._silence = what, silence
+        self._sender, self._heard = 0, -math.inf
+        self.refused = 0
+
+    def passes(self, sample: Any) -> bool:
+        """Whether a message is of this sender."""
+        sender, now = int(sample.sample_info.publication_handle), time.monotonic()
+        if self._heard == -math.inf or now - self._heard > self._silence:
+            self._sender = sender
+        if sender == self._sender:
+            self._heard = now
+            return True
+        self.refused += 1
+        if self.refused == 1:
+            print(f"ROS 2: another sender tells {self._what}, too; it is ignored", file=sys.stderr, flush=True)
+        return False

@@ -10,6 +10,7 @@ import os
 import subprocess
 import sys
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -17,6 +18,8 @@ from places import CELL_FILES
 
 from coopqp import InvalidInputError, QPController, load_cell_file
 from coopqp.drivers import Command, ControlLoop, Ros2Driver
+from coopqp.drivers.ros2 import Ros2Options, Ros2Robot
+from coopqp.drivers.ros2_domain import OneSender
 from coopqp.errors import MissingExtraError
 
 pytestmark = [pytest.mark.slow, pytest.mark.filterwarnings("ignore::coopqp.errors.StiffnessWarning")]
@@ -85,6 +88,49 @@ def test_an_arm_goes_where_it_is_sent(sends):
     finally:
         driver.close()
         peer.close()
+
+
+def test_a_second_sender_of_a_robots_joints_is_ignored(capsys):
+    from coopqp.drivers import ros2_messages as messages
+
+    topic = {"states_topic": "/twice", "domain": DOMAIN, "localhost": True, "period": 0.004}
+    robot = Ros2Robot(("a", "b"), Ros2Options(command_topic="/nobody", **topic))
+    robot.connect()
+    writers = [robot._participant.writer("/twice", messages.JointState) for _ in range(3)]
+
+    def tell(k, names, value):
+        writers[k].write(messages.JointState(name=list(names), position=[value] * len(names)))
+
+    state = None
+    while state is None:
+        tell(2, "cd", 7.0)  # another robot's joints
+        tell(0, "ab", 0.1)
+        state = robot.read()
+    while not robot._sender.refused:
+        tell(1, "ab", 2.0)
+        tell(0, "ab", 0.1)
+        state = robot.read() or state
+        np.testing.assert_array_equal(state.q, 0.1)
+    assert "another sender tells the joints of this robot" in capsys.readouterr().err
+
+
+def test_a_sender_that_is_silent_may_be_followed_by_another(monkeypatch):
+    now, heard = 0.0, OneSender("targets", silence=0.25)
+    monkeypatch.setattr("coopqp.drivers.ros2_domain.time.monotonic", lambda: now)
+
+    def passes(sender):
+        return heard.passes(SimpleNamespace(sample_info=SimpleNamespace(publication_handle=sender)))
+
+    assert passes(1)
+    assert not passes(2)
+    now = 0.2
+    assert passes(1)
+    now = 0.44
+    assert not passes(2)
+    now = 0.46
+    assert passes(2)
+    assert not passes(1)
+    assert heard.refused == 3
 
 
 def test_two_arms_of_a_cell_file_finish(tmp_path):
