@@ -241,7 +241,7 @@ class _PathCheck:
         return ClearanceCheck(
             verdict=verdict,
             pair=pair,
-            margin=float(self._built.margins[k]),
+            margin=float(self._required[k]),
             clock=float(clocks[-1]),
             proved=min(self._bound, clearance) if sure else -np.inf,
             stop=stop,

@@ -179,6 +179,11 @@ class CollisionScene:
         """Names of the bodies of each pair of shapes, P of them."""
         return self.built.labels
 
+    @property
+    def starts_inside(self) -> Array:
+        """Pairs that may start inside their margin (P,), and come no closer then."""
+        return np.asarray(self.built.inside)
+
     def required_at(self, starts: Array) -> tuple[Array, Array]:
         """See :class:`coopqp.planning.route.edges.SearchedBodies`."""
         built = self.built

@@ -145,6 +145,11 @@ class SearchedBodies(Bodies, Protocol):
         """Names of the bodies of each pair, P of them."""
         ...
 
+    @property
+    def starts_inside(self) -> Array:
+        """Pairs that may start inside their margin (P,), and come no closer then."""
+        ...
+
     def required_at(self, starts: Array) -> tuple[Array, Array]:
         """Required distances (P,) [m], where pairs may start inside their margin as at ``starts`` (M, nv), and levers.
 

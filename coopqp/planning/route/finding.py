@@ -204,7 +204,7 @@ class _Finding:
 
     def _starts(self, start: pin.SE3, q_start: Array | None) -> Ends:
         if q_start is None:
-            return ends_at(self._cell, self._arms, self._grasp, start, self._scene, self._edges)
+            return self._found_starts(start)
         x = self._cell.positions(q_start)
         exact = self._cell.positions(self._exact(start, x))
         if np.abs(exact - x).max() > _OFF:
@@ -221,12 +221,29 @@ class _Finding:
             return Ends(np.empty((0, self._cell.nv)), rooms[None][:0], f"{first} and {second} come inside their margin")
         return Ends(exact[None], rooms[None])
 
+    def _found_starts(self, start: pin.SE3) -> Ends:
+        """Starts at a pose, at which pairs that may start inside their margin are as near as they are."""
+        free, required = self._scene.starts_inside, self._kept.required
+        required[free] = -np.inf
+        found = ends_at(self._cell, self._arms, self._grasp, start, self._scene, self._edges)
+        required[:] = self._scene.required_at(found.x)[0]
+        if not (free.any() and len(found.x)):
+            return found
+        return Ends(found.x, np.array([self._edges.rooms(x) for x in found.x]))
+
     def _keep(self, ends: Sequence[Ends]) -> None:
         """Limits of the edges: ends may be closer to a limit, or to a body, than the way between them gets."""
         kept = limits_with(self._cell, np.vstack([found.x for found in ends]), self._kept.required)
         rooms = np.vstack([found.rooms for found in ends]).min(axis=0)
         self._kept.lower[:], self._kept.upper[:] = kept.lower, kept.upper
         self._kept.spare[:] = np.clip(rooms - _ROUNDING, -_ROUNDING, SPARE)
+        # No bound proves an edge that begins on a margin. Where an end has less room, bounds between the poses of edges
+        # are looser by as much, the poses keep the same distance, and the check of the whole way decides.
+        looser = np.minimum(rooms - SPARE, 0.0)
+        self._kept.required[:] += looser
+        self._kept.spare[:] -= looser
+        for found in ends:
+            found.rooms[:] -= looser
 
     def _no_end(self, ends: Ends, which: str) -> Route:
         spent = time.perf_counter() - self._began

@@ -207,10 +207,12 @@ def _apart(recording: Recording) -> tuple[Finding, ...]:
     except (KeyError, TypeError, ValueError, OverflowError, AttributeError) as error:
         raise RecordingError(f"'clearance' in the recording's metadata is damaged ({error}).") from error
     where = f"{names} at {at:.3g} s"
-    touched, inside = closest <= 0.0, closest < margin - MARGIN_ROUNDING
-    texts = [f"{where} touched" if touched else f"nothing touched: closest {1e3 * closest:.3g} mm, {where}"][
-        : int(measured)
-    ]
+    inside = closest < margin - MARGIN_ROUNDING
+    touched = closest <= 0.0 and (inside or not (entry["avoided"] and entry.get("starts_inside", False)))
+    texts = [f"{where} touched" if touched else f"nothing touched: closest {1e3 * closest:.3g} mm, {where}"]
+    if closest <= 0.0 and not touched:
+        texts = [f"{names} overlap at the start, as they may, and come no closer"]
+    texts = texts[: int(measured)]
     causes = [where if touched else f"{where}, inside the margin of {1e3 * margin:.3g} mm"][: int(touched or inside)]
     if left_out:
         overlap = f"{pairs_said(left_out)} overlap at the start"

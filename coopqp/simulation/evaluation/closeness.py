@@ -50,11 +50,13 @@ class Closest:
         pair: the bodies, and their distance [m].
         time: when [s].
         margin: the least distance that they are to keep [m].
+        starts_inside: they may start inside their margin, and come no closer then.
     """
 
     pair: NearPair
     time: float
     margin: float
+    starts_inside: bool = False
 
     def __str__(self) -> str:
         return f"{1e3 * self.pair.distance:.3g} mm, {self.pair.first} and {self.pair.second} at {self.time:.3g} s"
@@ -105,10 +107,12 @@ class Closeness:
         Args:
             q: commanded configurations (T, nq).
             time: time of each (T,) [s].
-            to_margin: the least distance less its margin instead.
+            to_margin: the least distance less its margin instead. A pair that may start inside its margin, and comes no
+                closer then, has the distance at the first configuration for one.
             without_start: leave out pairs of names that overlap at the first configuration.
         """
         placed = self._place(q)
+        self._required = self._required_at(placed)
         least: tuple[float, int, float] | None = None
         last = len(q) - 1
         queue: list[tuple[float, int, int, int, float, float]] = []
@@ -151,7 +155,7 @@ class Closeness:
         value, k, where = least
         at = float(np.interp(where, np.arange(len(time)), time))
         pair = NearPair(*self._labels[k], value + self._less(k, to_margin))
-        return Closest(pair, at, float(self.margins[k]))
+        return Closest(pair, at, float(self._required[k]), bool(self._inside[k]))
 
     def overlapping(self, q: Array) -> set[tuple[str, str]]:
         """Pairs of names that overlap at a configuration (nq,)."""
@@ -165,12 +169,18 @@ class Closeness:
     def start(self, q: Array) -> None:
         """Begin to :meth:`watch` at a configuration (nq,)."""
         placed = self._place(q[None])
-        self._least = self.margins.copy()
+        self._least = self._required_at(placed)
         self._rooms = np.full(len(self._least), np.inf)
         for k in self._pairs:
             self._rooms[k] = self._away(placed, k)[0] - self.margins[k]
+
+    def _required_at(self, placed: _Placed) -> Array:
+        """The distance that each pair keeps (P,) after the first configuration [m]."""
+        required = self.margins.copy()
+        for k in self._pairs:
             if self._inside[k]:
-                self._least[k] = min(self.margins[k], self._sampled(placed, k, 0))
+                required[k] = min(required[k], self._sampled(placed, k, 0))
+        return required
 
     def watch(self, q: Array, *, tolerance: float) -> list[tuple[int, NearPair, float]]:
         """Steps of a run in which pairs are closer than they may be, by more than a tolerance [m].
@@ -226,7 +236,7 @@ class Closeness:
         return out
 
     def _less(self, k: int, to_margin: bool) -> float:
-        return float(self.margins[k]) if to_margin else 0.0
+        return float(self._required[k]) if to_margin else 0.0
 
     def _away(self, placed: _Placed, k: int) -> Array:
         """Lower bound of the distance of a pair at each sample (T,) [m], by spheres about both bodies' origins."""
@@ -300,10 +310,10 @@ def _object_elsewhere(recording: Recording) -> bool:
 def with_clearance(recording: Recording, scene: CollisionScene | None, *, avoided: bool) -> Recording:
     """The recording with an entry ``clearance`` in its metadata: where bodies came closest.
 
-    Entries: ``closest_m``, ``between``, ``time_s``, ``margin_m``, ``avoided``, ``left_out`` (pairs of names that
-    overlap at the start of a run without avoidance: the distances of these are not checked), ``times_s``,
-    ``distances_m`` and ``points_m``, the nearest points of both bodies, and ``pairs``, their names. Where all pairs are
-    left out only ``avoided`` and ``left_out`` are there. ``notes`` are those of the scene. Entries ``bodies`` and
+    Entries: ``closest_m``, ``between``, ``time_s``, ``margin_m``, ``starts_inside`` (the pair may, and has its distance at
+    the start for a margin), ``avoided``, ``left_out`` (pairs of names that overlap at the start of a run without
+    avoidance: the distances of these are not checked), ``times_s``, ``distances_m`` and ``points_m``, the nearest points
+    of both bodies, and ``pairs``, their names. Where all pairs are left out only ``avoided`` and ``left_out`` are there. ``notes`` are those of the scene. Entries ``bodies`` and
     ``carried`` hold what stands in the world and what the object is made of.
     """
     if scene is None or _object_elsewhere(recording):
@@ -313,6 +323,9 @@ def with_clearance(recording: Recording, scene: CollisionScene | None, *, avoide
     q, time = recording.q_command[::every], recording.time[::every]
     left_out = sorted(set() if avoided else closeness.overlapping(q[0]))
     found = closeness.closest(q, time, without_start=not avoided)
+    missing = closeness.closest(q, time, to_margin=True) if avoided else None
+    if missing is not None and missing.pair.distance < missing.margin - RESOLUTION:
+        found = missing  # another pair may be nearer, and keep its margin
     drawn = {"bodies": describe_bodies(scene), "carried": describe_carried(scene, recording.metadata.get("object"))}
     drawn = {key: entries for key, entries in drawn.items() if entries}
     recording = replace(recording, metadata={**recording.metadata, **drawn})
@@ -330,6 +343,7 @@ def with_clearance(recording: Recording, scene: CollisionScene | None, *, avoide
         "between": [found.pair.first, found.pair.second] if since < 0 else list(pairs[since]),
         "time_s": found.time if since < 0 else float(time[rows[since]]),
         "margin_m": found.margin,
+        "starts_inside": found.starts_inside,
         "times_s": time[rows].tolist(),
         "distances_m": distances,
         "points_m": points,
