@@ -310,11 +310,12 @@ def _object_elsewhere(recording: Recording) -> bool:
 def with_clearance(recording: Recording, scene: CollisionScene | None, *, avoided: bool) -> Recording:
     """The recording with an entry ``clearance`` in its metadata: where bodies came closest.
 
-    Entries: ``closest_m``, ``between``, ``time_s``, ``margin_m``, ``starts_inside`` (the pair may, and has its distance at
-    the start for a margin), ``avoided``, ``left_out`` (pairs of names that overlap at the start of a run without
-    avoidance: the distances of these are not checked), ``times_s``, ``distances_m`` and ``points_m``, the nearest points
-    of both bodies, and ``pairs``, their names. Where all pairs are left out only ``avoided`` and ``left_out`` are there. ``notes`` are those of the scene. Entries ``bodies`` and
-    ``carried`` hold what stands in the world and what the object is made of.
+    Entries: ``closest_m``, ``between``, ``time_s``, ``margin_m``, ``starts_inside`` (the pair may, and has its distance
+    at the start for a margin), ``avoided``, ``left_out`` (pairs of names that overlap at the start of a run without
+    avoidance: the distances of these are not checked), ``times_s``, ``distances_m`` and ``points_m``, the nearest
+    points of both bodies, and ``pairs``, their names. Where all pairs are left out only ``avoided`` and ``left_out``
+    are there. ``notes`` are those of the scene. Entries ``bodies`` and ``carried`` hold what stands in the world and
+    what the object is made of.
     """
     if scene is None or _object_elsewhere(recording):
         return recording
