@@ -77,9 +77,10 @@ class CommandSpline:
 
     def at(self, sigma: float) -> Array:
         """H(σ) (n,), then the controller's clock there [s]: (n + 1,)."""
-        points, u = self._weights(sigma)
+        (before, middle, after), u = self._weights(sigma)
         w = 1.0 - u
-        value: Array = 0.5 * w * w * points[0] + (0.5 + u * w) * points[1] + 0.5 * u * u * points[2]
+        # In differences, whose weights add up to 1 without rounding: at rest it is the point itself.
+        value: Array = middle + 0.5 * w * w * (before - middle) + 0.5 * u * u * (after - middle)
         return value
 
     def value(self, sigma: float) -> Array:

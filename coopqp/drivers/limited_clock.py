@@ -43,9 +43,12 @@ class LimitedClock:
 
     def restart(self) -> None:
         """Rest at σ = 0, after the spline began again."""
-        self.sigma = self.rate = 0.0
-        self.point = self._spline.value(0.0)
-        self._before = self.point
+        self.sigma, self.point = 0.0, self._spline.value(0.0)
+        self.halt()
+
+    def halt(self) -> None:
+        """Rest where it is."""
+        self.rate, self._before = 0.0, self.point
 
     def step(self, wanted: float) -> Array:
         """Go on by one period, at a rate as near to the wanted one, −1 to 1, as the limits allow. Returns c (n,)."""

@@ -164,7 +164,11 @@ class ControlLoop(LoopCalls):
         Raises:
             DriverError: a robot cannot be reached, or tells no state.
         """
-        connect(self.watches, self._time, longest=self.options.connect_time, period=self.period)
+        o, time = self.options, self._time
+        connect(self.watches, time, longest=o.connect_time, period=self.period)
+        self._stand = stand(
+            self.cell, self.watches, time, rest_time=o.rest_time, period=self.period, tolerance=o.start_tolerance
+        )
         return [
             *refusals(self.controller, self.robots, period=self.period, tells_target=tell_targets(self.watches)),
             *unready(self.cell, self.watches, wrenches=self._wrenches),
@@ -176,10 +180,7 @@ class ControlLoop(LoopCalls):
         if said:
             raise DriverError("not driven: " + " ".join(said))
         o = self.options
-        readings, targets = stand(
-            self.cell, self.watches, self._time, rest_time=o.rest_time, period=self.period, tolerance=o.start_tolerance
-        )
-        first = self._last_q = begin(self.controller, self.watches, readings, targets, tolerance=o.start_tolerance)
+        first = self._last_q = begin(self.controller, self.watches, *self._stand, tolerance=o.start_tolerance)
         self._motion = SharedMotion(
             self.cell, self.robots, first, clock=0.0, command_period=self.controller.dt, period=self.period,
             lead=self.lead, options=o,
@@ -222,6 +223,7 @@ class ControlLoop(LoopCalls):
         self._finish, self._still, self._settled, self._short, self._stops = math.inf, 0.0, 0.0, 0.0, 0
         self._arrived = math.nan
         self._missing: Counter[str] = Counter()
+        self._stalls, self._rest = 0, 0.0
         self._looks: list[Array] = []
         self._looked = 0
         self._force, self._slowest, self._standing = math.nan, 1.0, False
@@ -235,11 +237,14 @@ class ControlLoop(LoopCalls):
             time.sleep_until(deadline)
             self._now = now = time.now()
             late.append(now - deadline)
+            stood = now > deadline + max(self.lead - h, h)  # beyond the time for which the last commands hold
+            if stood and now > deadline + self.options.give_up_after:
+                self._end(f"the loop stood for {now - deadline:.2f} s, and its robots with it", failed=True)
             if now > deadline + h:  # no catching up
                 left_out = int((now - deadline) / h)
                 missed += left_out
                 deadline += left_out * h
-            self._period(now, deadline)
+            self._period(now, deadline, stood)
             periods += 1
             deadline += h
             if self._over():
@@ -249,9 +254,13 @@ class ControlLoop(LoopCalls):
         ended = now if math.isnan(self._arrived) else self._arrived
         return self._report(ended - began, periods, missed, np.array(late))
 
-    def _period(self, now: float, deadline: float) -> None:
+    def _period(self, now: float, deadline: float, stood: bool) -> None:
         motion = self._motion
         assert motion is not None
+        if stood:
+            motion.halt()
+            self._stalls += 1
+            self._ramp, self._ramp_time = now, max(self.options.ramp_time, self._ramp + self._ramp_time - now)
         self._drain()
         self._end_silence()
         if self.options.heartbeat is not None and now - self._beaten > self.options.heartbeat:
@@ -263,7 +272,9 @@ class ControlLoop(LoopCalls):
             self._advance()
         ramp = 1.0 if self._ramp_time == 0.0 else (now - self._ramp) / self._ramp_time
         ramp = 0.1 + 0.9 * min(ramp, 1.0)
-        sent = motion.step(deadline, most=ramp, said=np.zeros_like(said) if self._standing else said, stand=braking)
+        sent = motion.step(
+            deadline, most=ramp, said=np.zeros_like(said) if self._standing else said, stand=braking or stood
+        )
         self._slowest = min(self._slowest, motion.law.rate)
         before = motion.before
         for watch in self.watches:
@@ -334,17 +345,12 @@ class ControlLoop(LoopCalls):
             said[k] = condition in STANDS
             if condition is Condition.FAULT:
                 self._end(f"robot '{watch.robot.name}' says fault", failed=True)
-            if watch.missing(now):
+            if watch.account(now, self.period):
                 motion.lose(k)
                 self._missing[watch.robot.name] += 1
                 self._off[joints] = self._measured[joints] = np.nan
-                if watch.age(now) > self.options.gone_after:
-                    use = f" of use ({watch.refusal})" if watch.refusal else ""
-                    self._end(
-                        f"robot '{watch.robot.name}' told no state{use} for {1e3 * watch.age(now):.0f} ms, and where "
-                        "it stands is not known",
-                        failed=True,
-                    )
+                if trouble := watch.trouble(now, self.options.gone_after):
+                    self._end(trouble, failed=True)
                 continue
             assert watch.state is not None
             q, moment = watch.aligned(now)
@@ -432,14 +438,16 @@ class ControlLoop(LoopCalls):
         motion = self._motion
         assert motion is not None
         if self._ending:
-            return motion.speed() < 1e-6
+            self._rest = self._rest + self.period if motion.speed() < 1e-6 else 0.0
+            return self._rest > motion.settling
         if not math.isfinite(self._finish):
             return False
-        if math.isnan(self._arrived):
+        added = bool(np.abs(motion.play_out.addition.short).max() < _ARRIVED)
+        if math.isnan(self._arrived) and added:
             rest = motion.way.value(self._finish) - motion.way.value(motion.play_out.parameter)
             if np.abs(rest).max() < _ARRIVED:
                 self._arrived = self._now
-        if motion.play_out.parameter >= self._finish and motion.speed() < _SLOW_END:
+        if motion.play_out.parameter >= self._finish and motion.speed() < _SLOW_END and added:
             short = self._short_of_end()
             self._short = self._short + self.period if short else 0.0
             if not short:
@@ -486,6 +494,7 @@ class ControlLoop(LoopCalls):
             lost_time=dict(zip(names, motion.law.lost.tolist(), strict=True)),
             slowest_rate=self._slowest,
             stops=self._stops,
+            stalls=self._stalls,
             periods=periods,
             late=int((late > 0.5 * self.period).sum()),
             missed=missed,

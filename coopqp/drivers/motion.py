@@ -289,6 +289,11 @@ class SharedMotion:
 
     # -- rest ------------------------------------------------------------------------------------------------------
 
+    @property
+    def settling(self) -> float:
+        """How long robots take to come to rest after what is sent does [s]."""
+        return self._wait + 3.0 * float(self.lag.max(initial=0.0))
+
     def speed(self) -> float:
         """Largest speed of what is sent [rad/s or m/s]."""
         return float(np.abs(self.sent - self.before).max() / self._h)
@@ -300,6 +305,14 @@ class SharedMotion:
     def clock(self) -> float:
         """The controller's clock at the point of the shared one [s]."""
         return self.way.clock(self.shared.sigma)
+
+    def halt(self) -> None:
+        """Go on from rest at the last commands: they ran out, and all robots stand where these left them."""
+        self.shared.halt()
+        self.play_out.halt(self.sent, self.shared.sigma)
+        self.before = self.sent
+        self._followed[:] = self.sent
+        self.law.restart()
 
     def restart(self) -> None:
         """Begin a new way at the shared clock's point, at rest."""

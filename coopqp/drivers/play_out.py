@@ -23,6 +23,8 @@ _CLOSING_TIME = 0.02
 _REACH, _UPTAKE = 0.02, 1.0
 #: Position limits are no further than this [rad or m]: a share of 0 of them is 0.
 _FAR = 1e6
+#: The least share with which it goes back to 0 where it has none.
+_LEAST_SHARE = 0.05
 #: Differences that count as rest, in shares of a h².
 _REST = 1e-3
 
@@ -58,6 +60,11 @@ class Addition:
         self.value, self._step, self._target = value, np.zeros(len(value)), np.zeros(len(value))
         self._mixture_step, self._taken = np.zeros(len(value)), 1.0
 
+    @property
+    def short(self) -> Array:
+        """What the value has left to its target (n,) [rad or m]."""
+        return self._target - self.value
+
     def follow(self, target: Array, mixture: Array, mixture_step: Array, share: float, *, fades: bool) -> Array:
         """Go on by one period, with a share of the limits. Returns the value (n,).
 
@@ -67,16 +74,23 @@ class Addition:
             share: s, of the limits.
             fades: whether the value may fade to 0 where the target is out of reach.
         """
+        if share == 0.0:
+            if not self.value.any():
+                return self.value
+            share, target = _LEAST_SHARE, np.zeros(len(target))
         most, most_change = share * self._most, share * self._most_change
-        away = np.abs(self._taken * target - self.value)
-        if fades and (away * self._h**2 > _REACH**2 * most_change).any():
+        if not fades:
+            self._taken = 1.0
+        elif (np.abs(self._taken * target - self.value) * self._h**2 > _REACH**2 * most_change).any():
             self._taken = 0.0
         else:
-            self._taken = min(self._taken + self._h / _UPTAKE, 1.0) if fades else 1.0
+            self._taken = min(self._taken + self._h / _UPTAKE, 1.0)
+        gap = self._taken * target - self.value
         moves, self._target = self._taken * (target - self._target), target
-        # Of Ä = (T − A)/τ² + 2 (Ṫ − Ȧ)/τ with the period's end on the right.
+        # Ȧ goes to Ṫ + (T − A)/2τ within τ/2, with the period's end on the right; no faster than it may brake.
         k = self._h / _CLOSING_TIME
-        wanted = (self._step + k * k * (self._taken * target - self.value) + 2.0 * k * moves) / (1.0 + k) ** 2
+        closing = min(0.5 * k, float((np.abs(gap) / most_change).max()) ** -0.5 if gap.any() else 1.0)
+        wanted = (self._step + 2.0 * k * (moves + closing * gap)) / (1.0 + 2.0 * k * (1.0 + closing))
         # The limits are those of A + s m, for its step and for the change of it, and where it stands.
         own, place = share * mixture_step, share * (mixture - mixture_step) + self.value
         high = np.minimum(most, _largest_step(share * self._upper - place, most_change)) - own
@@ -157,6 +171,13 @@ class PlayOut:
         self._share = lag / self.time_constant
         # Then σ − p = M ṗ, exactly.
         self._alpha = self._h / (self._h + self.time_constant)
+
+    def halt(self, sent: Array, sigma: float) -> None:
+        """Go on from rest at what was sent (n,), and lead the addition from there to the shared clock's point c."""
+        self._low, self._last, self._mixture = self._c, self._c, self._c
+        self.parameter, self.rate = sigma, 0.0
+        self.addition.rest(sent - self._c)
+        self._ring[:] = sent
 
     def mixture(self, c: Array) -> Array:
         """Take the next point c (n,); return the convex mixture of each joint (n,)."""

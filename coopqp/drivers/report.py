@@ -26,6 +26,7 @@ class LoopReport:
         lost_time: time that each robot cost, by name [s].
         slowest_rate: smallest rate of the shared clock; negative on a way back.
         stops: how often all arms came to rest behind a robot that had stopped.
+        stalls: how often the loop stood until its commands had run out; the arms went on from rest.
         periods, late, missed: periods of the loop; those that began half a period late; those left out after overruns.
         lateness: of the periods' beginnings, p50, p99 and the largest [s].
         lost: states that were never read, by robot: they did not come, or a newer one came before they were read.
@@ -48,6 +49,7 @@ class LoopReport:
     lost_time: dict[str, float]
     slowest_rate: float
     stops: int
+    stalls: int
     periods: int
     late: int
     missed: int
@@ -82,8 +84,11 @@ class LoopReport:
             f"{self.periods} periods, late p50 {p50:.0f}, p99 {p99:.0f}, largest {most:.0f} µs; "
             f"{self.late} late by half a period, {self.missed} left out"
         )
-        lost = sum(self.lost.values())
-        text.append(f"{self.commands} commands to each robot; {lost} states lost or overtaken")
+        if self.stalls:
+            text.append(f"the commands ran out {self.stalls} times while the loop stood; the arms went on from rest")
+        text.append(f"{self.commands} commands to each robot; {_each(self.lost) or 0} states lost or overtaken")
+        if missing := _each(self.missing):
+            text.append(f"periods without a state that is new enough: {missing}")
         text.append("lags " + ", ".join(f"{name} {1e3 * lag:.0f} ms" for name, lag in self.lags.items()))
         if "realtime" in self.process:
             text.append(f"real-time scheduler: {self.process['realtime']}")
@@ -95,6 +100,11 @@ class LoopReport:
     def record(self) -> dict[str, Any]:
         """The numbers by name, for JSON."""
         return {name: getattr(self, name) for name in self.__dataclass_fields__}
+
+
+def _each(counts: dict[str, int]) -> str:
+    """The counts that are not 0, with their robots' names."""
+    return ", ".join(f"{name} {count}" for name, count in counts.items() if count)
 
 
 def largest_apart(cell: RobotCell, grasp: Grasp, positions: Iterable[Array]) -> float:

@@ -17,6 +17,8 @@ from coopqp.spatial import Array
 
 #: A joint that stands this far outside its limits is led inwards; one that stands further is not driven [rad or m].
 OUTSIDE = 2e-3
+#: So many states of a robot are waited for before the motion.
+_PERIODS = 6
 
 
 def connect(watches: Sequence[RobotWatch], time: LoopTime, *, longest: float, period: float) -> None:
@@ -56,6 +58,8 @@ def unready(cell: RobotCell, watches: Sequence[RobotWatch], *, wrenches: bool) -
         said += _outside(cell, watch)
         if watch.condition() in STANDS:
             said.append(f"robot '{watch.robot.name}' says {watch.condition().value}. Release it first.")
+        if unlike := watch.unlike_told():
+            said.append(unlike)
         name, arms = watch.robot.name, watch.robot.arms
         silent = [arm for arm in arms if watch.wrench(arm) is None] if wrenches and watch.state is not None else []
         if silent and silent != list(arms):
@@ -108,12 +112,14 @@ def stand(
 ) -> tuple[list[Array], Array]:
     """Configurations (nq,) that are measured in a time [s]; and what the servos track (nv,), measured where untold.
 
+    The time is long enough to see how often each robot tells its state.
+
     Raises:
         DriverError: a joint is in two places that are further apart than the tolerance [rad or m].
     """
     readings, targets, first = [], np.full(cell.nv, np.nan), np.full(cell.nv, np.nan)
     spread = np.zeros((2, cell.nv))
-    until = time.now() + rest_time
+    until = time.now() + max(rest_time, *(_PERIODS * watch.robot.driver.period for watch in watches))
     while True:
         now = time.now()
         x = np.full(cell.nv, np.nan)

@@ -520,7 +520,7 @@ def test_a_trail_leads_back_over_whole_turns(mixed_cell: RobotCell) -> None:
 # -- words -------------------------------------------------------------------------------------------------------------
 
 SAID = [
-    ("NOT_FINITE", (3, np.nan, 0), "q_measured[3] is nan"),
+    ("NOT_FINITE", (3, np.nan, 0), "joint {joint} has no finite measured position"),
     ("OFF_CIRCLE", (3, 1.2345, 0), "q_measured[3] and [4] are no cosine and sine (norm 1.23)"),
     ("JUMPED", (3, 0.45678, 0), "joint {joint} is measured 0.457 rad (or m) from its command"),
     ("CHAIN_APART", (1, 2.34e-3, 2), "arms slave_1 and slave_2 are commanded 2.3 mm apart"),

@@ -52,6 +52,12 @@ def as_number(value: Any) -> float:
         return math.nan
 
 
+def unmeasured(cell: RobotCell, i: int) -> str:
+    """The reason for entry i of a measured configuration that is no number."""
+    joint = int(np.searchsorted(cell.position_index, i, side="right")) - 1
+    return f"joint {cell.joint_names[max(joint, 0)]} has no finite measured position"
+
+
 def refused_dt(dt: float, low: float, high: float) -> str:
     """Why a length of a step is not accepted [s]."""
     return f"dt is not accepted: {dt:g} s is outside [{low:g}, {high:g}] s"
@@ -179,7 +185,7 @@ class Supervision:
         away = measured - q_command
         worst = int(np.abs(away).argmax())  # NaN wins
         if not math.isfinite(away.item(worst)):
-            return q_command, f"q_measured[{worst}] is {measured[worst]}"
+            return q_command, unmeasured(self._cell, worst)
         for i in self._cell.position_index[self._continuous].tolist():
             radius = math.hypot(measured.item(i), measured.item(i + 1))
             if abs(radius - 1.0) > CIRCLE_TOLERANCE:

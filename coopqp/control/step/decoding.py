@@ -11,7 +11,7 @@ from coopqp.control.interface import NO_SOLVE, NOTHING, GivenUp, SolverReport, S
 from coopqp.control.monitoring.commanded import OFF_WAY, PARTED
 from coopqp.control.monitoring.lag import OFF_LAG
 from coopqp.control.monitoring.options import SupervisionOptions
-from coopqp.control.monitoring.supervision import refused_dt
+from coopqp.control.monitoring.supervision import refused_dt, unmeasured
 from coopqp.control.operator.way import Way
 from coopqp.control.step.constraint_set import Constraints
 from coopqp.control.step.verdict import cause_of, too_close
@@ -157,7 +157,6 @@ _BOTH = (_REASONS["CHAIN_APART"], _REASONS["CHAIN_PARTED"])
 _SENTENCES = {
     "NO_REASON": "",
     "TOUCHING": "the arms hold",
-    "NOT_FINITE": "q_measured[{i}] is {a}",
     "OFF_CIRCLE": "q_measured[{i}] and [{next}] are no cosine and sine (norm {a:.3g})",
     "JUMPED": "joint {joint} is measured {a:.3g} rad (or m) from its command",
     "ALL_STALLED": "no arm is seen to follow its command (all have stopped, or measurements are stale)",
@@ -187,6 +186,8 @@ def reason(cell: RobotCell, force_limit: float, code: int, index: float, a: floa
         name = cell.joint_names[int(b)]
         return OFF_WAY.format(arm=name.partition("/")[0], joint=name, far=a)
     i, other = int(index), int(b) if code in _BOTH else 0
+    if code == _REASONS["NOT_FINITE"]:
+        return unmeasured(cell, i)
     arm, joint = (names[i] if i < len(names) else "" for names in (cell.arm_names, cell.joint_names))
     words = {"arm": arm, "joint": joint, "other": cell.arm_names[other], "limit": force_limit}
     return _SENTENCES[layout.REASONS[code]].format(i=i, next=i + 1, a=a, b=b, mm=1e3 * a, **words)
