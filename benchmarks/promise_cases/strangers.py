@@ -34,15 +34,20 @@ _BEGIN = 100
 _MEMORY = ("/dev/shm/", tempfile.gettempdir() + "/")
 
 
+def _sockets(process: int) -> dict[str, str]:
+    """Inodes of the sockets of a process, by the paths under which Linux shows them to its user's other processes."""
+    found = {}
+    for number in Path(f"/proc/{process}/fd").iterdir():
+        with contextlib.suppress(OSError):  # closed meanwhile
+            link = os.readlink(number)  # noqa: PTH115  # "socket:[inode]"
+            if link.startswith("socket:["):
+                found[str(number)] = link[8:-1]
+    return found
+
+
 def doors(process: int) -> set[tuple[str, int]]:
     """Sockets of a process that another process can reach: kind, and port or inode, as Linux lists them."""
-    numbers = Path(f"/proc/{process}/fd")
-    links = []
-    for number in numbers.iterdir():
-        with contextlib.suppress(OSError):  # closed meanwhile
-            links.append(os.readlink(number))  # noqa: PTH115  # "socket:[inode]"
-    own = {link[8:-1] for link in links if link.startswith("socket:[")}
-    found = set()
+    own, found = set(_sockets(process).values()), set()
     for kind, inode in (("udp", 9), ("tcp", 9), ("udp6", 9), ("tcp6", 9), ("unix", 6)):
         with contextlib.suppress(FileNotFoundError):
             for line in Path(f"/proc/{process}/net/{kind}").read_text().splitlines()[1:]:
@@ -95,25 +100,36 @@ class _Watch:
 
 
 def _packets(count: int) -> Iterator[Promise]:
-    """Simulated robots are driven, each by a process of its own, while packets come to whatever they listen at."""
-    run = load_cell_file(_CELL).led()
-    before, children, memory = doors(os.getpid()), _children(), named_memory(os.getpid())
+    """Simulated robots are driven, each by a process of its own, while packets come by every way that there is.
+
+    Ways are UDP ports, and the paths of sockets in ``/proc``, which no process may open.
+    """
+    run, here = load_cell_file(_CELL).led(), os.getpid()
+    doors_before, children, memory = doors(here), _children(), named_memory(here)
+    sockets_before = set(_sockets(here).values())
     drivers: Any = run.drivers("sim")
-    watch, stolen, open_doors = _Watch(), [0], set[tuple[str, int]]()
+    watch, taken, open_doors = _Watch(), [0], set[tuple[str, int]]()
 
     def attack() -> None:
         watch.begun.wait(60.0)
-        found = {door: False for door in doors(os.getpid()) - before}
-        for child in _children() - children:
-            found |= {door: True for door in doors(child)}
-        open_doors.update(found)
-        rng, ports = np.random.default_rng(0), [port for kind, port in found if kind.startswith("udp")]
+        own = _children() - children
+        open_doors.update(doors(here) - doors_before, *map(doors, own))
+        ways: list[int | str] = [port for kind, port in open_doors if kind.startswith("udp")]
+        for process in (here, *own):
+            ways += [path for path, inode in _sockets(process).items() if inode not in sockets_before]
+        rng = np.random.default_rng(0)
         with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as stranger:
             stranger.setblocking(False)
-            for i in range(count if ports else 0):
+            for i in range(count):
+                packet, way = _forged(rng), ways[i % len(ways)]
                 with contextlib.suppress(OSError):
-                    stranger.sendto(_forged(rng), ("127.0.0.1", ports[i % len(ports)]))
-                    stolen[0] += len(stranger.recv(65536)) > 0
+                    if isinstance(way, str):
+                        opened = os.open(way, os.O_WRONLY | os.O_NONBLOCK)
+                        taken[0] += os.write(opened, packet) > 0
+                        os.close(opened)
+                    else:
+                        stranger.sendto(packet, ("127.0.0.1", way))
+                        taken[0] += len(stranger.recv(65536)) > 0
 
     thread = threading.Thread(target=attack, daemon=True)
     thread.start()
@@ -121,15 +137,17 @@ def _packets(count: int) -> Iterator[Promise]:
     try:
         report = loop.run()
         watch.begun.set()
-        thread.join(120.0)
-        names = set[str]().union(*(named_memory(p) for p in {os.getpid(), *(_children() - children)})) - memory
+        thread.join(300.0)
+        own = _children() - children
+        names = set[str]().union(*(named_memory(process) for process in (here, *own))) - memory
+        ended = len(drivers) - len(own)
     finally:
         for driver in drivers.values():
             driver.close()
     yield Promise("ports and named sockets of drivers and their robots' processes", len(open_doors), 0, "")
     yield Promise("files in memory with a name, of a run", len(names), 0, "")
-    harmed = stolen[0] + (not report.finished) + (watch.apart > 0.3)
-    yield Promise(f"{count} packets of strangers to each of these ports: taken", harmed, 0, "")
+    harmed = taken[0] + ended + (not report.finished) + (watch.apart > 0.3)
+    yield Promise(f"{count} packets of strangers by every way to a robot: taken", harmed, 0, "")
 
 
 def _requests(url: str, count: int) -> tuple[int, int]:
