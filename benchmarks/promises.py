@@ -22,6 +22,7 @@ from promise_cases import (
     chain,
     clock,
     contacts,
+    description_files,
     forces,
     operator,
     planning,
@@ -45,7 +46,7 @@ GROUPS: dict[str, tuple[Callable[[bool], Iterator[promise_cases.Promise]], ...]]
     "programs": (programs.promises,),
     "screen": (screen.promises,),
     "shared": (shared.promises, robots.promises),
-    "robot": (strangers.promises, certified.promises),
+    "robot": (strangers.promises, certified.promises, description_files.promises),
 }
 
 

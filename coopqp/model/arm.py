@@ -344,11 +344,10 @@ def _cause(error: Exception) -> str:
 
 
 def _separate_frames(model: pin.Model) -> None:
-    """Make frame names unique. If a link and a joint share a name (MJCF), the link keeps it."""
+    """Make frame names unique. If a link and a joint share a name, the link keeps it."""
     taken: set[str] = set()
-    for joint_frames in (False, True):
-        for frame in model.frames:
-            if (frame.type == pin.FrameType.JOINT) is joint_frames:
-                if frame.name in taken:
-                    frame.name = f"{frame.name} ({str(frame.type).lower()})"
-                taken.add(frame.name)
+    order = {pin.FrameType.BODY: 0, pin.FrameType.JOINT: 2}
+    for frame in sorted(model.frames, key=lambda frame: order.get(frame.type, 1)):
+        if frame.name in taken:
+            frame.name = f"{frame.name} ({str(frame.type).lower()})"
+        taken.add(frame.name)

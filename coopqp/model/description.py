@@ -69,7 +69,7 @@ def read_urdf(file: Path, arm: str) -> ElementTree.Element:
     parser.StartElementHandler, parser.EndElementHandler = builder.start, builder.end
     content = _content(file, arm)
     try:
-        parser.Parse(content, True)
+        parser.Parse(content.lstrip(), True)  # white space before the XML declaration is common
         root = builder.close()
     except (expat.ExpatError, LookupError, ValueError) as error:  # also an encoding that Python does not know
         raise ModelError(f"arm '{arm}': {file} is not a readable URDF ({error}). Check the path.") from error

@@ -180,3 +180,22 @@ def test_meshes_beside_a_urdf_are_found(tmp_path: Path, monkeypatch: pytest.Monk
         arm = Arm.from_urdf("a", "arm/arm.urdf", tool_frame="b", package_dirs=given)
         assert arm.collision is not None
         assert arm.collision.ngeoms == 1
+
+
+def test_white_space_before_the_declaration_is_no_fault(tmp_path: Path) -> None:
+    file = tmp_path / "arm.urdf"
+    file.write_text('\n<?xml version="1.0"?><robot name="a"/>')
+    assert read_urdf(file, "left").get("name") == "a"
+
+
+def test_a_link_keeps_its_name_beside_a_fixed_joint_of_that_name(tmp_path: Path) -> None:
+    file = tmp_path / "arm.urdf"
+    file.write_text(
+        '<robot name="a"><link name="world"/><link name="base"/><link name="tip"/><joint name="base" type="fixed">'
+        '<parent link="world"/><child link="base"/></joint><joint name="j" type="continuous"><parent link="base"/>'
+        '<child link="tip"/><axis xyz="0 0 1"/><limit velocity="1" effort="1"/></joint></robot>'
+    )
+    model = Arm.from_urdf("a", file, tool_frame="tip").model
+    kinds = {frame.name: str(frame.type) for frame in model.frames}
+    assert kinds["base"] == "BODY"
+    assert kinds["base (fixed_joint)"] == "FIXED_JOINT"
