@@ -20,6 +20,7 @@ from coopqp.model.followers import Follower, followers_locked, refuse_loops, urd
 from coopqp.model.joint_limits import JointLimits, model_limits, narrow_to_soft_limits
 from coopqp.model.links import joint_axes
 from coopqp.model.mjcf import read_mjcf
+from coopqp.model.urdf_faults import urdf_fault
 from coopqp.spatial import Placement, as_placement
 
 
@@ -201,7 +202,11 @@ def urdf_arm(
     try:
         model = pin.buildModelFromUrdf(str(source))
     except (ValueError, RuntimeError) as error:
-        raise ModelError(f"arm '{name}': {source} is not a readable URDF ({_cause(error)})") from error
+        why = urdf_fault(root) or _cause(error)
+        raise ModelError(f"arm '{name}': {source} is not a readable URDF ({why})") from error
+    if len([j for j in root.findall("joint") if j.get("type") != "fixed"]) != model.njoints - 1:
+        why = urdf_fault(root) or "some of its joints do not hang together with its root"
+        raise ModelError(f"arm '{name}': {source} is not a readable URDF ({why})")
     narrow_to_soft_limits(model, root)
     shapes: dict[str, pin.GeometryModel | None] = {"visual": None, "collision": None}
     if geometry:

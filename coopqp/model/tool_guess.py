@@ -15,6 +15,7 @@ from coopqp.model.arm import Arm
 from coopqp.model.description import description_file, read_urdf
 from coopqp.model.followers import Follower, urdf_followers
 from coopqp.model.joint_limits import UNLIMITED
+from coopqp.model.urdf_faults import urdf_fault
 
 #: Names of joints that move fingers.
 _FINGERS = re.compile(r"finger|grip|jaw|knuckle|thumb|claw", re.I)
@@ -60,7 +61,7 @@ def guess_tool(file: str | Path, *, tool_frame: str | None = None) -> ToolGuess:
     try:
         model = pin.buildModelFromUrdf(str(source))
     except (ValueError, RuntimeError) as error:
-        raise ModelError(f"{source} is not a readable URDF ({error}). Check the path.") from error
+        raise ModelError(f"{source} is not a readable URDF ({urdf_fault(root) or error}).") from error
     fingers = _fingers(model, set(followers))
     links = [f for f in model.frames if f.type == pin.FrameType.BODY and f.name != "universe"]
     if tool_frame is not None:

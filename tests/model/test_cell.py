@@ -477,7 +477,7 @@ def test_joints_to_lock_are_a_dictionary(tmp_path: Path) -> None:
 
 def test_joints_without_a_speed_limit_are_told(tmp_path: Path) -> None:
     file = tmp_path / "hand.urdf"
-    file.write_text(fingers("a", "b", "c", mimic=False))
+    file.write_text(fingers("a", "b", "c"))
     arm = Arm.from_urdf("h", file, tool_frame="hand")
     assert RobotCell([arm]).speed_note() == ""
     some = arm.with_limits(velocity=[1.0, np.inf, 1.0, 1.0])
