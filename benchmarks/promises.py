@@ -28,6 +28,7 @@ from promise_cases import (
     planning,
     programs,
     proofs,
+    real_robots,
     robots,
     screen,
     sensors,
@@ -46,7 +47,7 @@ GROUPS: dict[str, tuple[Callable[[bool], Iterator[promise_cases.Promise]], ...]]
     "programs": (programs.promises,),
     "screen": (screen.promises,),
     "shared": (shared.promises, robots.promises),
-    "robot": (strangers.promises, certified.promises, description_files.promises),
+    "robot": (real_robots.promises, strangers.promises, certified.promises, description_files.promises),
 }
 
 

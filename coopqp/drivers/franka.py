@@ -28,8 +28,6 @@ _JOINTS = 7
 _START = 60.0
 #: Time between two states of the robot [s].
 _PERIOD = 0.001
-#: The driver passes on every so manyth state.
-_EVERY = 2
 
 
 @documented
@@ -39,7 +37,7 @@ class FrankaOptions:
 
     address: Annotated[str, Doc("address of the robot; has to be given")] = ""
     gain: Annotated[
-        float, Doc("velocity that is added for each radian by which the robot is behind its commands [1/s]")
+        float, Doc("velocity that is added for each radian by which its target is behind its commands [1/s]")
     ] = 20.0
     lag: Annotated[float | None, Doc("first-order lag of its joints [s]; None to learn it")] = 0.0
     delay: Annotated[float, Doc("time until a command has its first effect, beside the lag [s]")] = 0.0
@@ -84,7 +82,8 @@ class FrankaDriver(ProcessDriver):
         needed("pylibfranka", "franka", "pylibfranka")
         super().__init__(names, "coopqp.drivers.franka", asdict(o), start=_START)
         self.claims = (f"the robot at {o.address}",)
-        self.period, self.lag, self.delay = _EVERY * _PERIOD, o.lag, o.delay
+        # A velocity has moved the target by the next state.
+        self.period, self.lag, self.delay = _PERIOD, o.lag, o.delay + _PERIOD
 
 
 @final
@@ -98,9 +97,8 @@ class FrankaRobot:
         self._library = needed("pylibfranka", "franka", "pylibfranka")
         self._robot: Any = None
         self._control: Any = None
-        self._wanted: Array | None = None
-        self._measured = np.zeros(_JOINTS)
-        self._speed = np.zeros(_JOINTS)
+        #: What it was sent last, and the time of the state that this answered [s].
+        self._sent: tuple[float, Array] | None = None
         self._newest: Any = None
         self._answered, self._failed = True, False
 
@@ -122,21 +120,19 @@ class FrankaRobot:
             ) from error
 
     def read(self) -> RobotState | None:
-        """Wait for the next state, and answer it; every second one is passed on."""
+        """Wait for the next state, after an answer to the last one."""
         if self._failed:
-            time.sleep(_EVERY * _PERIOD)
+            time.sleep(_PERIOD)
             return None
         try:
-            for _ in range(_EVERY):
-                if not self._answered:
-                    self._answer()
-                state, _ = self._control.readOnce()
-                self._measured, self._answered = np.array(state.q), False
+            if not self._answered:
+                self._answer(np.zeros(_JOINTS))
+            state, _ = self._control.readOnce()
         except Exception as error:  # a reflex, a user stop, or the robot is gone: its motion is at its end
             print(f"franka: {error}", file=sys.stderr)
             self._failed = True
             return self._fault()
-        self._newest = state
+        self._newest, self._answered = state, False
         return self._state(state, _condition(state.robot_mode, self._library.RobotMode))
 
     def _state(self, state: Any, condition: Condition) -> RobotState:
@@ -153,25 +149,26 @@ class FrankaRobot:
         if newest is None:
             return None
         state = self._state(newest, Condition.FAULT)
-        return RobotState(state.q, np.zeros(_JOINTS), state.stamp + _EVERY * _PERIOD, target=state.target,
+        return RobotState(state.q, np.zeros(_JOINTS), state.stamp + _PERIOD, target=state.target,
                           wrench=state.wrench, condition=Condition.FAULT)  # fmt: skip
 
     def send(self, q: Array) -> None:
-        """Take positions that hold now (7,) [rad]; their velocity is that between two calls."""
-        self._wanted = q if self._wanted is None else self._wanted
-        self._speed = (q - self._wanted) / (_EVERY * _PERIOD)
-        self._wanted = q
-        self._answer()
+        """Answer the last state, so that the robot's target comes to positions (7,) [rad].
+
+        The gain acts on the target, not on what is measured: that has noise, and hangs below it under a load.
+        """
+        state = self._newest
+        moment, target = state.time.to_sec(), np.array(state.q_d)
+        before, last = (moment - _PERIOD, q) if self._sent is None else self._sent
+        self._sent = moment, q
+        self._answer((q - last) / max(moment - before, _PERIOD) + self._options.gain * (last - target))
 
     def send_at(self, at: float, q: Array, now: float) -> None:
         """Not used: the robot's commands have no time."""
         raise NotImplementedError
 
-    def _answer(self) -> None:
-        """Answer the last state with joint velocities."""
-        velocity = np.zeros(_JOINTS)
-        if self._wanted is not None:
-            velocity = self._speed + self._options.gain * (self._wanted - self._measured)
+    def _answer(self, velocity: Array) -> None:
+        """Answer the last state with joint velocities (7,) [rad/s]."""
         self._control.writeOnce(self._library.JointVelocities(velocity.tolist()))
         self._answered = True
 

@@ -101,7 +101,7 @@ class ControlLoop(LoopCalls):
         self.options = as_options(LoopOptions, options, "ControlLoop: options")
         self.robots = robots_of(self.cell, drivers)
         self.period = controller.dt if self.options.period is None else self.options.period
-        self.lead = 2.0 * self.period if self.options.lead is None else self.options.lead
+        self.lead = 3.0 * self.period if self.options.lead is None else self.options.lead
         self._recorder, self._bodies = recorder, bodies
         self.shows: list[Callable[[ControlStep], object]] = []
         self._clearances = [c for c in getattr(controller, "constraints", ()) if isinstance(c, Clearance)]

@@ -21,7 +21,7 @@ class LoopOptions:
     """Settings of a :class:`coopqp.drivers.ControlLoop`."""
 
     period: Annotated[float | None, Doc("time between two commands [s]; None for the controller's dt")] = None
-    lead: Annotated[float | None, Doc("how long before it holds a command is sent [s]; None for two periods")] = None
+    lead: Annotated[float | None, Doc("how long before it holds a command is sent [s]; None for three periods")] = None
     patience: Annotated[
         float | None,
         Doc("age at which a state counts as missing [s]; None for two periods of the robot, and 5 ms at least"),

@@ -109,4 +109,4 @@ def _serve(robot: HostedRobot, link: PacketEnd, parent: int, longest_silence: fl
         if heard is None or way is None or stopped or state is None or robot.interpolates:
             continue
         if state.condition is Condition.RUNNING:
-            robot.send(way.at(now - clock.offset))
+            robot.send(way.at(state.stamp))  # not at the present time, which jitters

@@ -78,7 +78,7 @@ class ServoModel:
             self._step(h)
 
     def _wanted(self, now: float) -> Array:
-        return self._commands.at(now - self.delay)
+        return self._commands.line(now - self.delay)
 
     def _step(self, h: float) -> None:
         wanted = self._wanted(self.now)
