@@ -1,12 +1,13 @@
-"""The controller's commands as a curve: control points of a uniform quadratic B-spline.
+"""The controller's commands as a curve: control points of a uniform cubic B-spline.
 
 With points x_i and the controller's period T the curve's velocity is a convex mixture of (x_{i+1} − x_i)/T, and its
-acceleration is (x_{i+2} − 2 x_{i+1} + x_i)/T²: the curve keeps the velocity and acceleration limits that the commands
-keep. It passes the commands at a distance of at most a T²/8.
+acceleration, which is continuous, one of (x_{i+2} − 2 x_{i+1} + x_i)/T²: the curve keeps the velocity and acceleration
+limits that the commands keep. It passes the commands at a distance of at most a T²/6.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import final
 
 import numpy as np
@@ -42,7 +43,7 @@ class CommandSpline:
     def restart(self, x: Array, clock: float) -> None:
         """Begin again at rest, at σ = 0."""
         self.count = 0
-        for _ in range(3):
+        for _ in range(4):
             self.append(x, clock)
 
     def append(self, x: Array, clock: float) -> None:
@@ -56,7 +57,7 @@ class CommandSpline:
     @property
     def head(self) -> float:
         """The largest σ at which the curve is known [s]."""
-        return (self.count - 2) * self.period
+        return (self.count - 3) * self.period
 
     @property
     def tail(self) -> float:
@@ -69,19 +70,16 @@ class CommandSpline:
         return self.points[(self.count - 1) % self._size, :-1]
 
     def _weights(self, sigma: float) -> tuple[Array, float]:
-        """The three points that matter at σ (3, n + 1), and the share of the way between their middles."""
+        """The four points that matter at σ (4, n + 1), and the share of the way from the second to the third."""
         s = sigma / self.period
-        i = min(max(int(np.floor(s)), 0, self.count - self._size), self.count - 3)
+        i = min(max(int(np.floor(s)), 0, self.count - self._size), self.count - 4)
         at = i % self._size
-        return self.points[at : at + 3], min(max(s - i, 0.0), 1.0)
+        return self.points[at : at + 4], min(max(s - i, 0.0), 1.0)
 
     def at(self, sigma: float) -> Array:
         """H(σ) (n,), then the controller's clock there [s]: (n + 1,)."""
-        (before, middle, after), u = self._weights(sigma)
-        w = 1.0 - u
-        # In differences, whose weights add up to 1 without rounding: at rest it is the point itself.
-        value: Array = middle + 0.5 * w * w * (before - middle) + 0.5 * u * u * (after - middle)
-        return value
+        points, u = self._weights(sigma)
+        return _mean(points, u)
 
     def value(self, sigma: float) -> Array:
         """H(σ) (n,) [rad or m]."""
@@ -95,17 +93,23 @@ class CommandSpline:
         """H′(σ) (n,) [rad/s or m/s]; 0 outside what is known."""
         if sigma < 0.0 or sigma > self.head:
             return np.zeros(self.points.shape[1] - 1)
-        points, u = self._weights(sigma)
-        value: Array = ((1.0 - u) * (points[1] - points[0]) + u * (points[2] - points[1])) / self.period
+        (a, b, c, d), u = self._weights(sigma)
+        w = 1.0 - u
+        value: Array = (0.5 * w * w * (b - a) + (0.5 + u * w) * (c - b) + 0.5 * u * u * (d - c)) / self.period
         return value[:-1]
 
     def values(self, sigmas: Array) -> Array:
         """H at several σ (m,) → (m, n) [rad or m]."""
         s = sigmas / self.period
-        i = np.clip(np.floor(s).astype(int), max(0, self.count - self._size), self.count - 3)
-        u = np.clip(s - i, 0.0, 1.0)[:, None]
+        i = np.clip(np.floor(s).astype(int), max(0, self.count - self._size), self.count - 4)
         at = i % self._size
-        a, b, c = self.points[at, :-1], self.points[at + 1, :-1], self.points[at + 2, :-1]
-        w = 1.0 - u
-        value: Array = 0.5 * w * w * a + (0.5 + u * w) * b + 0.5 * u * u * c
-        return value
+        return _mean([self.points[at + k, :-1] for k in range(4)], np.clip(s - i, 0.0, 1.0)[:, None])
+
+
+def _mean(points: Sequence[Array] | Array, u: float | Array) -> Array:
+    """The point of the curve at a share u of the way from the second of four points to the third."""
+    a, b, c, d = points
+    w = 1.0 - u
+    # In differences, whose weights add up to 1 without rounding: at rest it is the point itself.
+    value: Array = b + (w**3 * (a - b) + (3.0 * w * w * (w - 2.0) + 4.0) * (c - b) + u**3 * (d - b)) / 6.0
+    return value

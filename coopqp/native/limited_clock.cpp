@@ -15,9 +15,9 @@ struct Curve {
     Py_ssize_t count, size, joints;
     double period;
 
-    /* The three rows that matter at s periods, and the share of the way between their middles. */
+    /* The first of the four rows that matter at s periods, and the share of the way from the second to the third. */
     const double *rows(double s, double &share) const {
-        const double oldest = (double)std::max<Py_ssize_t>(0, count - size), newest = (double)(count - 3);
+        const double oldest = (double)std::max<Py_ssize_t>(0, count - size), newest = (double)(count - 4);
         const double whole = std::floor(s); /* or NaN, which is no place in memory */
         const Py_ssize_t i = (Py_ssize_t)(whole > oldest ? std::min(whole, newest) : oldest);
         share = std::min(std::max(s - (double)i, 0.0), 1.0);
@@ -34,9 +34,11 @@ struct Step {
     bool keeps_limits(double rate) const {
         double u;
         const double *a = curve.rows((sigma + rate * period) / curve.period, u), w = 1.0 - u;
-        const double *b = a + curve.joints + 1, *c = b + curve.joints + 1;
+        const double *b = a + curve.joints + 1, *c = b + curve.joints + 1, *d = c + curve.joints + 1;
+        const double of_a = w * w * w / 6.0, of_b = (3.0 * u * u * (u - 2.0) + 4.0) / 6.0;
+        const double of_c = (3.0 * w * w * (w - 2.0) + 4.0) / 6.0, of_d = u * u * u / 6.0;
         for (Py_ssize_t j = 0; j < curve.joints; j++) {
-            const double value = 0.5 * w * w * a[j] + (0.5 + u * w) * b[j] + 0.5 * u * u * c[j];
+            const double value = of_a * a[j] + of_b * b[j] + of_c * c[j] + of_d * d[j];
             const double step = value - point[j], change = step - (point[j] - before[j]);
             if (!(std::abs(step) <= most[j] && std::abs(change) <= most_change[j])) return false;
         }
@@ -63,7 +65,7 @@ double limited_rate(const Step &step, double wanted, double last) {
 double limited_rate_of(const In &points, Py_ssize_t count, double every, const In &point, const In &before, const In &most,
                        const In &most_change, double sigma, double period, double wanted, double last) {
     const Py_ssize_t n = point.size, rows = points.length(0);
-    check_fit(points.length(1) == n + 1 && rows >= 6 && count >= 3 && before.size == n && most.size == n &&
+    check_fit(points.length(1) == n + 1 && rows >= 8 && count >= 4 && before.size == n && most.size == n &&
               most_change.size == n);
     const Curve curve = {points.data, count, rows / 2, n, every};
     return limited_rate({curve, point.data, before.data, most.data, most_change.data, sigma, period}, wanted, last);

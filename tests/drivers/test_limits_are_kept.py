@@ -107,10 +107,13 @@ def test_the_curve_stays_near_its_commands_and_its_clock_runs_with_them(seed):
     for i, x in enumerate(commands[1:], 1):
         spline.append(x, i * _PERIOD)
     sigma = np.arange(190, 200) * _PERIOD
-    middle = spline.values(sigma + 0.5 * _PERIOD)  # where a point's weight is largest
-    at = np.array(commands)[np.round(sigma / _PERIOD).astype(int) - 1]
-    assert np.abs(middle - at).max() <= acceleration[0] * _PERIOD**2 / 8.0 + 1e-15
-    assert spline.clock(199.5 * _PERIOD) == pytest.approx(198.0 * _PERIOD)
+    at = np.array(commands)[np.round(sigma / _PERIOD).astype(int) - 2]  # the points of the largest weight
+    assert np.abs(spline.values(sigma) - at).max() <= acceleration[0] * _PERIOD**2 / 6.0 + 1e-15
+    assert spline.clock(199.5 * _PERIOD) == pytest.approx(197.5 * _PERIOD)
+    fine = np.arange(190.0 * _PERIOD, 199.0 * _PERIOD, _PERIOD / 64.0)
+    bends = np.diff(spline.values(fine), 2, axis=0) * (64.0 / _PERIOD) ** 2  # its second derivative
+    assert np.abs(bends).max() <= acceleration[0] * (1.0 + 1e-6)
+    assert np.abs(np.diff(bends, axis=0)).max() <= 2.0 * acceleration[0] / 64.0 * (1.0 + 1e-3)  # without jumps
     for s in sigma:
         h = 1e-7
         slope = (spline.value(s + h) - spline.value(s - h)) / (2.0 * h)
