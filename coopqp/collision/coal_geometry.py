@@ -11,7 +11,8 @@ import coal
 import numpy as np
 
 from coopqp.errors import InvalidInputError
-from coopqp.model.shapes import MOST_BYTES, MOST_TRIANGLES, Box, Capsule, Cylinder, Hull, Mesh, Shape, Sphere
+from coopqp.model.meshes import MOST_BYTES, load_mesh
+from coopqp.model.shapes import MOST_TRIANGLES, Box, Capsule, Cylinder, Hull, Mesh, Shape, Sphere
 from coopqp.reading import open_file
 
 #: A hull with more than this many times its mesh's volume is named.
@@ -50,8 +51,8 @@ def _of_mesh(mesh: Mesh, where: str) -> Any:
     if triangles > MOST_TRIANGLES:  # before it takes a minute to read it
         raise InvalidInputError(f"{file} has {triangles} triangles", where, f"Reduce it to {MOST_TRIANGLES} or fewer.")
     try:
-        return coal.MeshLoader().load(str(file), np.array(mesh.scale))
-    except (ValueError, RuntimeError) as error:
+        return load_mesh(file, np.array(mesh.scale))
+    except (OSError, ValueError, RuntimeError) as error:
         why = str(error).partition("message: ")[2].partition("\nHint")[0]  # without coal's own source lines
         said = " ".join((why or str(error)).split())
         raise InvalidInputError(f"{file} is no readable mesh ({said})", where, "Give an STL, DAE or OBJ.") from error

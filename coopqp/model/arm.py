@@ -19,6 +19,7 @@ from coopqp.model.description import description_file, mesh_folders, read_urdf
 from coopqp.model.followers import Follower, followers_locked, refuse_loops, urdf_followers
 from coopqp.model.joint_limits import JointLimits, model_limits, narrow_to_soft_limits
 from coopqp.model.links import joint_axes
+from coopqp.model.meshes import load_mesh, mesh_unit
 from coopqp.model.mjcf import read_mjcf
 from coopqp.model.urdf_faults import urdf_fault
 from coopqp.spatial import Placement, as_placement
@@ -214,13 +215,21 @@ def urdf_arm(
         dirs = mesh_folders(root, source, package_dirs)
         for key, kind in kinds.items():
             try:
-                shapes[key] = pin.buildGeomFromUrdf(model, str(source), kind, package_dirs=dirs)
-            except (ValueError, RuntimeError) as error:
+                shapes[key] = _in_metres(pin.buildGeomFromUrdf(model, str(source), kind, package_dirs=dirs))
+            except (OSError, ValueError, RuntimeError) as error:
                 raise ModelError(
                     f"arm '{name}': the {key} geometry of {source} cannot be read ({_cause(error)}). "
                     "Give package_dirs, or geometry=False to do without."
                 ) from error
     return built_arm(name, model, tools, T_world_base, locked_joints, shapes, str(source), limits, followers, robot)
+
+
+def _in_metres(shapes: pin.GeometryModel) -> pin.GeometryModel:
+    """Shapes whose meshes have the unit of their files. Raises as :func:`coopqp.model.meshes.load_mesh`."""
+    for shape in shapes.geometryObjects:
+        if Path(shape.meshPath).suffix.lower() == ".dae" and mesh_unit(Path(shape.meshPath)) != 1.0:
+            shape.geometry = load_mesh(Path(shape.meshPath), shape.meshScale)
+    return shapes
 
 
 def built_arm(

@@ -12,14 +12,13 @@ import pinocchio as pin
 
 from coopqp.checks import NOT_NUMBERS, as_floats, as_vector, keep_scalars, read_only, require
 from coopqp.errors import InvalidInputError, has_controls, shown
+from coopqp.model.meshes import MOST_BYTES
 from coopqp.native.constants import DEEPEST
 from coopqp.reading import open_file
 from coopqp.spatial import Array, Placement, as_placement
 
 #: Sizes of shapes [m].
 LEAST_SIZE, LARGEST_SIZE = 1e-5, 1e3
-#: Largest accepted mesh file [bytes].
-MOST_BYTES = 100_000_000
 #: Largest number of triangles or corners of one mesh.
 MOST_TRIANGLES = 100_000
 
@@ -127,7 +126,7 @@ class Mesh:
 
     Attributes:
         file: its path.
-        scale: factors of its axes (3,); the file is in metres where they are 1.
+        scale: factors of its axes (3,); where they are 1 the file is in metres, or in the unit that a DAE tells.
     """
 
     file: str | Path

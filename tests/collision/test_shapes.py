@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import sys
 from collections.abc import Callable
 from pathlib import Path
@@ -13,7 +14,7 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from coopqp import CollisionScene, InvalidInputError
+from coopqp import Arm, CollisionScene, InvalidInputError, RobotCell
 from coopqp.collision import Body, Box, Capsule, Cylinder, Hull, Mesh, PairRules, Sphere, coal_geometry
 from coopqp.collision.coal_geometry import convex, core_shape, geometry_of, hull_of, reach_of
 from coopqp.collision.convex_shapes import convex_parts
@@ -21,6 +22,7 @@ from coopqp.collision.distances import new_request
 from coopqp.collision.pairs import Names, as_pair, ignored_line, pairs_said, srdf_pairs
 from coopqp.errors import UnknownNameError
 from coopqp.scenarios import plate_and_post
+from coopqp.simulation.recording.scene import describe_cell, read_cell
 from coopqp.spatial import Array
 
 CORNERS = np.array([[x, y, z] for x in (0, 1) for y in (0, 1) for z in (0, 1)], dtype=float)
@@ -118,6 +120,26 @@ def test_an_srdf_that_is_too_large_is_refused_unread(tmp_path: Path, monkeypatch
         srdf_pairs(file, "")
 
 
+def dae(file: Path, unit: str) -> Path:
+    """A tetrahedron with sides of 1 along the axes."""
+    numbers = '<float_array id="n" count="12">0 0 0 1 0 0 0 1 0 0 0 1</float_array>'
+    axes = "".join(f'<param name="{axis}" type="float"/>' for axis in "XYZ")
+    places = f'<accessor source="#n" count="4" stride="3">{axes}</accessor>'
+    mesh = (
+        f'<mesh><source id="p">{numbers}<technique_common>{places}</technique_common></source><vertices id="v">'
+        '<input semantic="POSITION" source="#p"/></vertices><triangles count="4"><input semantic="VERTEX" source="#v" '
+        'offset="0"/><p>0 2 1 0 1 3 0 3 2 1 2 3</p></triangles></mesh>'
+    )
+    node = '<visual_scene id="s"><node id="k"><instance_geometry url="#g"/></node></visual_scene>'
+    file.write_text(
+        '<?xml version="1.0"?><COLLADA xmlns="http://www.collada.org/2005/11/COLLADASchema" version="1.4.1">'
+        f'<asset>{unit}<up_axis>Z_UP</up_axis></asset><library_geometries><geometry id="g">{mesh}</geometry>'
+        f"</library_geometries><library_visual_scenes>{node}</library_visual_scenes><scene><instance_visual_scene "
+        'url="#s"/></scene></COLLADA>'
+    )
+    return file
+
+
 # -- meshes ------------------------------------------------------------------------------------------------------------
 
 
@@ -161,6 +183,34 @@ def test_a_mesh_of_too_many_corners_is_refused(tmp_path: Path, monkeypatch: pyte
     assert mesh.num_tris < 7 < mesh.num_vertices
     with pytest.raises(InvalidInputError, match="Reduce it to 7 or fewer"):
         convex(mesh, "")
+
+
+@pytest.mark.parametrize(("unit", "side"), [("", 1.0), ('<unit name="inch" meter="0.0254"/>', 0.0254),
+                                            ("<unit meter='1e-3' name='mm'/>", 0.001)])  # fmt: skip
+def test_a_dae_is_in_its_unit(unit: str, side: float, tmp_path: Path) -> None:
+    """As RViz and others show it: a body of a cell, a link of a URDF, and a link of a recording."""
+    file = dae(tmp_path / "corner.dae", unit)
+    assert np.abs(geometry_of(Mesh(file, scale=(2.0, 1.0, 1.0)), "").vertices()).max(axis=0).tolist() == pytest.approx(
+        [2.0 * side, side, side]
+    )
+    shape = f'<geometry><mesh filename="{file}" scale="2 1 1"/></geometry>'
+    link = f'<link name="t"><visual>{shape}</visual><collision>{shape}</collision></link>'
+    limit = '<limit lower="-1" upper="1" velocity="1" effort="1"/>'
+    joint = f'<joint name="j" type="revolute"><parent link="b"/><child link="t"/><axis xyz="0 0 1"/>{limit}</joint>'
+    (tmp_path / "arm.urdf").write_text(f'<robot name="r"><link name="b"/>{link}{joint}</robot>')
+    cell = RobotCell([Arm.from_urdf("a", tmp_path / "arm.urdf", tool_frame="t")])
+    told = read_cell({"scene": json.loads(json.dumps(describe_cell(cell)))}, meshes=True)
+    for shapes in (cell.arms[0].visual, cell.arms[0].collision, told.arms[0].visual):
+        assert shapes is not None
+        (found,) = shapes.geometryObjects
+        assert np.abs(found.geometry.vertices()).max(axis=0).tolist() == pytest.approx([2.0 * side, side, side])
+
+
+@pytest.mark.parametrize("unit", ["0", "-1", "nan", "x"])
+def test_a_dae_of_no_unit_is_refused(unit: str, tmp_path: Path) -> None:
+    file = dae(tmp_path / "corner.dae", f'<unit meter="{unit}"/>')
+    with pytest.raises(InvalidInputError, match=r"corner\.dae is no readable mesh"):
+        geometry_of(Mesh(file), "the rock")
 
 
 def test_mesh_files_that_are_too_large_or_none_are_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

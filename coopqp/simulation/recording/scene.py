@@ -23,6 +23,7 @@ import pinocchio as pin
 from coopqp.checks import as_vector
 from coopqp.errors import CoopqpError
 from coopqp.model.cell import Arm, RobotCell
+from coopqp.model.meshes import load_mesh
 from coopqp.paths.path import ObjectPath
 from coopqp.reading import open_file
 from coopqp.spatial import Array, Placement, as_placement
@@ -381,8 +382,6 @@ def _unpacked(text: Any) -> bytes:
 
 
 def _mesh_from_file(file: Path, scale: Array, arm: str) -> Any:
-    import coal
-
     if file.suffix.lower() not in _MESH_ENDINGS:
         raise SceneError(f"arm '{arm}': {file} is not a mesh file.")
     try:
@@ -394,6 +393,6 @@ def _mesh_from_file(file: Path, scale: Array, arm: str) -> Any:
     except OSError as error:
         raise SceneError(f"arm '{arm}': the mesh {error.filename} was not read: {error.strerror}.") from error
     try:
-        return coal.MeshLoader().load(str(file), scale)
-    except (ValueError, RuntimeError) as error:
+        return load_mesh(file, scale)
+    except (OSError, ValueError, RuntimeError) as error:
         raise SceneError(f"arm '{arm}': the mesh {file} cannot be read ({error}).") from error
