@@ -15,7 +15,7 @@ from typing import Annotated, Any, final
 import numpy as np
 import pinocchio as pin
 
-from coopqp.checks import ArrayLike, Doc, as_options, as_scalar, documented, keep_scalars, require
+from coopqp.checks import ArrayLike, Doc, as_options, as_scalar, as_step, documented, keep_scalars, require
 from coopqp.constraints.cause import Cause
 from coopqp.control.interface import NO_SOLVE, ControlStep, GivenUp, SolverReport, Status, short_text
 from coopqp.control.lock import Lock, alone
@@ -72,7 +72,7 @@ class IndependentQPController:
 
     Args:
         cell, grasp, path: the arms, their grasp and the path of the object.
-        dt: nominal length of a step [s].
+        dt: nominal length of a step [s], 0.5 at most.
         options: settings, or a dictionary of them.
 
     Raises:
@@ -96,7 +96,7 @@ class IndependentQPController:
         cell.refuse_shared("IndependentQPController")
         self._lock = Lock()
         self.cell, self.grasp, self.path = cell, grasp, path
-        self.dt = as_scalar(dt, "IndependentQPController: dt")
+        self.dt = as_step(dt, "IndependentQPController: dt")
         o = self.options = as_options(IndependentQPOptions, options, "IndependentQPController: options")
         self._chain, self._box = Chain(cell, grasp), VelocityBox(cell)
         self._solvers = [make_solver(o.solver, o.solver_settings) for _ in cell.arms]

@@ -7,6 +7,7 @@ from typing import Protocol, runtime_checkable
 
 import numpy as np
 
+from coopqp.checks import ArrayLike
 from coopqp.errors import said
 from coopqp.model.state import CellState
 from coopqp.spatial import Array
@@ -47,8 +48,11 @@ class RateBound(Protocol):
 
     name: str
 
-    def lines(self, knot: Knot) -> tuple[Array, Array, Array]:
-        """a, b and c (m,) with ``a z + b σ̇ ≤ c``, z = σ². At z = 0 and σ̇ = 0 they have to hold: c ≥ 0."""
+    def lines(self, knot: Knot) -> tuple[ArrayLike, ArrayLike, ArrayLike]:
+        """a, b and c (m,), or one number each, with ``a z + b σ̇ ≤ c``, z = σ².
+
+        At z = 0 and σ̇ = 0 they have to hold: c ≥ 0.
+        """
         ...
 
 

@@ -17,7 +17,7 @@ from typing import Any, final
 import numpy as np
 import pinocchio as pin
 
-from coopqp.checks import NOT_NUMBERS, ArrayLike, as_options, as_scalar, require
+from coopqp.checks import NOT_NUMBERS, ArrayLike, as_options, as_scalar, as_step, require
 from coopqp.control.core import make_loop
 from coopqp.control.interface import ControlStep, Status, amend, short_text
 from coopqp.control.lock import alone
@@ -51,7 +51,7 @@ class QPController(OperatorCalls):
 
     Args:
         cell, grasp, path: the arms, how they hold the object, and its path.
-        dt: nominal length of a step [s].
+        dt: nominal length of a step [s], 0.5 at most.
         options: settings, or a dictionary of them.
         constraints: further constraints, see :class:`coopqp.VelocityConstraint` and :class:`coopqp.RateBound`.
 
@@ -89,7 +89,7 @@ class QPController(OperatorCalls):
         constraints: Sequence[Any],
     ) -> None:
         self.cell, self.grasp = cell, grasp
-        self.dt = as_scalar(dt, "QPController: dt")
+        self.dt = as_step(dt, "QPController: dt")
         self.options = as_options(QPOptions, options, "QPController: options")
         self._checked = Constraints(cell, constraints)
         self.constraints = self._checked.given

@@ -61,7 +61,7 @@ class Free:
         return twist
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, init=False)
 class Grasp:
     """Fixed placements of the tools on the object.
 
@@ -73,11 +73,12 @@ class Grasp:
     T_object_tool: tuple[pin.SE3, ...]
     free: tuple[Free, ...] = ()
 
-    def __post_init__(self) -> None:
-        placements = as_placements(self.T_object_tool, "Grasp.T_object_tool")
+    def __init__(self, T_object_tool: Sequence[Placement] | Array, free: Sequence[Free] = ()) -> None:
+        placements = as_placements(T_object_tool, "Grasp.T_object_tool")
         if not placements:
             raise InvalidInputError("no placement", "Grasp.T_object_tool", "Give one per arm.")
         object.__setattr__(self, "T_object_tool", placements)
+        object.__setattr__(self, "free", tuple(free))
 
     def __len__(self) -> int:
         return len(self.T_object_tool)

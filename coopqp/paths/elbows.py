@@ -10,6 +10,7 @@ import numpy as np
 
 from coopqp.checks import ArrayLike, as_floats
 from coopqp.errors import InvalidInputError
+from coopqp.shown import Brief
 from coopqp.spatial import Array
 
 #: Samples of a motion that is smoothed, and the standard deviation of its mean as a share of the duration.
@@ -17,8 +18,8 @@ _SAMPLES, _WIDTH = 60, 0.04
 
 
 @final
-@dataclass(frozen=True, eq=False)
-class Elbows:
+@dataclass(frozen=True, eq=False, repr=False)
+class Elbows(Brief):
     """Joint positions over a path's clock: cubics without overshoot through grid points.
 
     Attributes:

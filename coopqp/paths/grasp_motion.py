@@ -19,6 +19,7 @@ import pinocchio as pin
 from coopqp.native.constants import GRASP_PIECE
 from coopqp.paths.joint_path import JointPiece
 from coopqp.paths.time_law import TimeLaw
+from coopqp.shown import Brief
 from coopqp.spatial import Array, adjoint
 
 #: Where a segment's numbers have its start [s], its duration [s] and its time law.
@@ -91,8 +92,8 @@ class GraspPiece:
 
 
 @final
-@dataclass(frozen=True, eq=False)
-class GraspMotion:
+@dataclass(frozen=True, eq=False, repr=False)
+class GraspMotion(Brief):
     """The motions of all tools on the object over a path's clock, and which arms hold the object.
 
     Attributes:

@@ -18,11 +18,12 @@ from coopqp.model.limits import BindingLimit, LimitKind
 from coopqp.paths.elbows import Elbows
 from coopqp.paths.geometry import PathGeometry, Straight, piece_of
 from coopqp.paths.path import ObjectPath
+from coopqp.shown import Brief
 from coopqp.spatial import Array
 
 
-@dataclass(frozen=True, eq=False)
-class SpeedProfile:
+@dataclass(frozen=True, eq=False, repr=False)
+class SpeedProfile(Brief):
     """Speed along a geometry: the square of ṡ is linear in s between grid points, so s̈ is constant there.
 
     Attributes:

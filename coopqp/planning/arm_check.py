@@ -9,6 +9,7 @@ import numpy as np
 
 from coopqp.model.branches import amount
 from coopqp.planning.branch_checks import BranchCheck, PathVerdict, follows
+from coopqp.shown import Brief
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -25,8 +26,8 @@ class UndecidedInterval:
     end: float
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class ArmCheck:
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class ArmCheck(Brief):
     """Result for one arm.
 
     Attributes:

@@ -12,6 +12,7 @@ from coopqp.constraints.samples import PathSamples
 from coopqp.model.batch import ArmKinematics, Walks
 from coopqp.model.branches import AT_LIMIT, Branches, amount, find_branches
 from coopqp.planning.on_shared import OnShared
+from coopqp.shown import Brief
 from coopqp.spatial import Array
 
 #: Good margin, as a share of a joint's half range, and good σ_min: the units of a branch's score.
@@ -30,8 +31,8 @@ _LEFT_OUT = 1e-2
 _MOST_OUTSIDE = 64
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class BranchAlongPath:
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class BranchAlongPath(Brief):
     """One branch of an arm at the path's start, and its way along the path.
 
     Attributes:

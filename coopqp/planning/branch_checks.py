@@ -16,6 +16,7 @@ from coopqp.planning.arm_starts import away_from_limits, why_it_ends
 from coopqp.planning.certificate import LEAST_SIGMA, exactness, prove
 from coopqp.planning.joint_trajectories import ArmTrajectory
 from coopqp.planning.segments import Indices, Segments
+from coopqp.shown import Brief
 from coopqp.spatial import Array
 
 #: Knots: largest motion of a tool between them [m, rad], and least number of pieces of a segment.
@@ -48,8 +49,8 @@ def follows(verdict: PathVerdict) -> bool:
     return verdict in (PathVerdict.CERTIFIED, PathVerdict.SAMPLED)
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class BranchCheck:
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class BranchCheck(Brief):
     """One branch of an arm along a path.
 
     Attributes:

@@ -14,14 +14,15 @@ from coopqp.model.grasp import Grasp
 from coopqp.model.shapes import NearPair, by_depth
 from coopqp.planning.branch_checks import PathVerdict
 from coopqp.planning.joint_trajectories import CellTrajectory
+from coopqp.shown import Brief
 from coopqp.spatial import Array
 
 #: What a remark says of an arm that no distance is kept from.
 NO_SHAPES = "has no shapes: nothing keeps a distance from it"
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class ClearanceCheck:
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class ClearanceCheck(Brief):
     """Distances along the whole path.
 
     Attributes:

@@ -18,6 +18,7 @@ from coopqp.model.cell import RobotCell
 from coopqp.paths.path import ObjectPath
 from coopqp.planning.certificate import Proof, between
 from coopqp.planning.segments import Indices, Segments
+from coopqp.shown import Brief
 from coopqp.spatial import Array, as_placement
 
 #: Arms hold the object within this [m, rad].
@@ -25,8 +26,8 @@ _EXACT = 1e-10
 
 
 @final
-@dataclass(frozen=True, eq=False)
-class ArmTrajectory:
+@dataclass(frozen=True, eq=False, repr=False)
+class ArmTrajectory(Brief):
     """Joint trajectory of one arm: exact at its places; between them the tool's pose is reached.
 
     Attributes:

@@ -29,6 +29,7 @@ from coopqp.planning.knots import Lead
 from coopqp.planning.payload import Payload
 from coopqp.planning.starts import Start, find_start
 from coopqp.planning.timing import SHARE, geometry_of, timed_motion
+from coopqp.shown import Brief
 from coopqp.spatial import Array, Placement, as_placements
 
 #: Limits that bind for less than this share of the duration are not listed.
@@ -39,8 +40,8 @@ _SHARE_HALVINGS = 7
 _LED_SAMPLES, _LED_WIDTH = 240, 0.02
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Plan:
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class Plan(Brief):
     """A start and a timed path from it.
 
     Attributes:

@@ -27,6 +27,7 @@ from coopqp.planning.clearance_check import Bodies, check_scene
 from coopqp.planning.on_shared import OnShared, group_joints
 from coopqp.planning.segments import segments_of
 from coopqp.planning.shared_starts import group_on_path
+from coopqp.shown import Brief
 from coopqp.spatial import Array
 
 #: Rolls of the tool that are tried for a remedy [deg], the most usual first.
@@ -36,8 +37,8 @@ _MOST_ALTERNATIVES = 8
 _MOST_OPTIONS = 24
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class ArmStart:
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class ArmStart(Brief):
     """The start of one arm.
 
     Attributes:
@@ -70,8 +71,8 @@ class ArmStart:
         return float(self.chosen.clocks[self.chosen.tightest])
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Start:
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class Start(Brief):
     """A configuration from which all arms follow a path inside their limits.
 
     Attributes:

@@ -793,3 +793,11 @@ def test_a_result_cannot_be_changed_behind_the_controllers_back(make: Callable[.
             with pytest.raises(ValueError, match="read-only"):
                 array[0] = 1.0
     np.testing.assert_allclose(step.q, task.q_start, atol=0.01)
+
+
+@pytest.mark.parametrize("make", [QPController, IndependentQPController])
+def test_steps_in_milliseconds_are_refused_with_a_hint(make: Any) -> None:
+    task = dual_arm7()
+    with pytest.raises(InvalidInputError, match=r"steps of 2 s are too long .*milliseconds\. Give seconds: 0\.002\."):
+        make(task.cell, task.grasp, task.path, dt=2)
+    make(task.cell, task.grasp, task.path, dt=0.5)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -349,3 +350,12 @@ def test_a_triangle_is_judged_by_its_shape_whatever_its_size(size: float) -> Non
         else:
             with pytest.raises(InvalidInputError, match="not isosceles"):
                 plate_from_points(A, B, C)
+
+
+def test_a_grasp_takes_any_sequence_of_placements() -> None:
+    T = pin.SE3.Random()
+    for tools in ([T, T], (T, T), [T.homogeneous, T], np.array([T.homogeneous, T.homogeneous])):
+        grasp = Grasp(tools)
+        assert isinstance(grasp.T_object_tool, tuple)
+        assert all(X.isApprox(T) for X in grasp.T_object_tool)
+        assert len(replace(grasp, T_object_tool=grasp.T_object_tool[:1])) == 1

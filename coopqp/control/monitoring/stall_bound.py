@@ -13,7 +13,7 @@ from typing import Any, final
 
 import numpy as np
 
-from coopqp.checks import as_count, as_scalar
+from coopqp.checks import as_count, as_scalar, as_step
 from coopqp.control.monitoring.options import SupervisionOptions
 from coopqp.spatial import Array
 
@@ -36,7 +36,7 @@ class StallBound:
     """
 
     def __init__(self, distance: float, *, dt: float, samples: int | None = None, name: str = "stall") -> None:
-        self.distance, self.dt = as_scalar(distance, "StallBound: distance"), as_scalar(dt, "StallBound: dt")
+        self.distance, self.dt = as_scalar(distance, "StallBound: distance"), as_step(dt, "StallBound: dt")
         known = 1 + (SupervisionOptions().stall_samples or 0) if samples is None else samples
         self.samples, self.name = as_count(known, "StallBound: samples"), name
 

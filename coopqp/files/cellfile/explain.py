@@ -150,6 +150,7 @@ _WORDS: tuple[tuple[str, str | Callable[[re.Match[str]], str]], ...] = (
     (r"Or give both as arms of one robot: coopqp\.Robot", "Or give both as arms of one robot: [[robots]]"),
     (r"\bRobotCell\b", "arms"),
     (r"\b(QP|PseudoInverse|IndependentQP)Options\b", "controller"),
+    (r"\b(QP|PseudoInverse|IndependentQP)Controller: dt\b", "dt_s"),
     (r"\b(Supervision|Preview|Posture)Options\b", lambda found: f"controller.{found[1].lower()}"),
     (r"\bTolerances\b", "verdict"),
     (r"\bRankWeights\b", "controller.weights"),

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, final
 import numpy as np
 import pinocchio as pin
 
-from coopqp.checks import as_scalar
+from coopqp.checks import as_scalar, as_step
 from coopqp.control.interface import ControlStep, Status
 from coopqp.errors import InvalidInputError
 from coopqp.model.cell import RobotCell
@@ -52,7 +52,7 @@ class Replay:
     ) -> None:
         grasp.check_arms(cell)
         self.cell, self.grasp, self.path = cell, grasp, path
-        self.dt, self.time_law = as_scalar(dt, "Replay: dt"), as_time_law(time_law)
+        self.dt, self.time_law = as_step(dt, "Replay: dt"), as_time_law(time_law)
         self._motion = motion
         self._time, self._q = 0.0, np.asarray(motion(0.0), dtype=float)
 
