@@ -34,6 +34,7 @@ from promise_cases import (
     sensors,
     shared,
     strangers,
+    too_quick,
 )
 
 KEYS = ("group", "case", "value", "bound", "unit", "holds")
@@ -47,7 +48,13 @@ GROUPS: dict[str, tuple[Callable[[bool], Iterator[promise_cases.Promise]], ...]]
     "programs": (programs.promises,),
     "screen": (screen.promises,),
     "shared": (shared.promises, robots.promises),
-    "robot": (real_robots.promises, strangers.promises, certified.promises, description_files.promises),
+    "robot": (
+        real_robots.promises,
+        strangers.promises,
+        certified.promises,
+        description_files.promises,
+        too_quick.promises,
+    ),
 }
 
 

@@ -259,6 +259,27 @@ static int ends_reach(const Core *c, int last, int made) {
     return 0;
 }
 
+/* The square of the most by which one joint alone would move the object faster than all together do, by the latest Jacobians:
+ * near a singularity joints move against each other. It does not change with the path's clock. */
+static double against_each_other(const Core *c, const double *slope) {
+    Vector6 unit = Vector6::Ones();
+    double most = 0.0;
+    unit.tail<3>().setConstant(TURN_LENGTH);
+    for (int k = 0; k < c->arms; k++) {
+        if (follows_way(c, k)) continue;
+        const ArmColumns J = columns_of_arm(c, k, sketch_of(c).jacobian);
+        Vector6 together = Vector6::Zero();
+        double alone = 0.0;
+        for (int j = 0; j < J.cols(); j++) {
+            const Vector6 own = slope[joint_behind(c, k, j)] * unit.cwiseProduct(J.col(j));
+            together += own;
+            alone = maximum(alone, own.squaredNorm());
+        }
+        if (alone > 0.0) most = maximum(most, alone / together.squaredNorm());
+    }
+    return most;
+}
+
 /* Bounds of knot i from its positions and slope, and the slope of the knot before (−1 for none); 0 if they overflow. */
 static int bound_by_limits(Core *c, int before, int i, double clock, double span) {
     const Options *o = c->options;
@@ -292,6 +313,8 @@ static int bound_by_limits(Core *c, int before, int i, double clock, double span
     k->span = before < 0 ? 0.0 : span;
     k->cap = cap;
     k->uncapped = 1.0 / maximum(maximum(square, by_bend), 1.0);
+    if (k->uncapped < o->singular_rate * o->singular_rate)
+        k->uncapped = maximum(k->uncapped, 1.0 / against_each_other(c, slope));
     k->fastest = fastest;
     k->change = change;
     k->inside = inside;

@@ -47,12 +47,21 @@ static void lead_away(Core *c, int k, const double *jacobian, const double *posi
         beyond[worst] = -INFINITY;
     }
     if (!found) return;
-    double low = -INFINITY, high = INFINITY;
+    double low = -INFINITY, high = INFINITY, z, missing = 0.0;
+    double lows[MOST_GROUP_JOINTS], highs[MOST_GROUP_JOINTS], gives[MOST_GROUP_JOINTS];
+    int moved = 0;
     for (int j = 0; j < n; j++) {
         if (!(fabs(way[j]) > LEADS * way[worst])) continue;
         const double own = slope[at(j)], a = (down[j] - own) / way[j], b = (up[j] - own) / way[j];
+        lows[moved] = minimum(a, b), highs[moved] = maximum(a, b);
+        gives[moved++] = c->scale[at(j)] / fabs(way[j]);
         low = maximum(low, minimum(a, b)), high = minimum(high, maximum(a, b));
     }
-    const double z = low > high ? 0.5 * (low + high) : minimum(maximum(0.0, low), high);
+    z = minimum(maximum(0.0, low), high);
+    for (int i = 0; low > high && i < moved; i++)
+        for (int j = 0; j < moved; j++) { /* of bounds that contradict each other, each gives way as much, in units of speed */
+            const double give = (lows[i] - highs[j]) / (gives[i] + gives[j]);
+            if (give > missing) missing = give, z = lows[i] - give * gives[i];
+        }
     for (int j = 0; j < n; j++) slope[at(j)] += z * way[j];
 }

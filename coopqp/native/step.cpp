@@ -383,8 +383,8 @@ static int brakes_together(const Core *c) {
     return !c->looks_ahead || gives_way(c);
 }
 
-/* The ranked answer under the cap and the further rows; returns an outcome. */
-static Outcome answer(Core *c) {
+/* The ranked answer under the cap and the further rows, along the path as it is looked at; returns an outcome. */
+static Outcome answer_along(Core *c) {
     Proposal *p = c->proposal;
     const int first = c->loop->first != 0.0;
     c->further_rows = c->given_rows;
@@ -405,6 +405,76 @@ static Outcome answer(Core *c) {
     return outcome;
 }
 
+/* ν, of the object and of each tool, over a share of the clock from now on; 0 if the path fails. */
+static int look_along(Core *c, double span) {
+    const double clock = c->loop->clock;
+    c->proposal->span = span;
+    return path_increment(c, clock, span, *c->pose, c->along) && (!grasps_move(c) || grasp_increments(c, clock, span));
+}
+
+/* Motion that is wished for in the null-space over that share. */
+static void wish_along(Core *c) {
+    if (c->redundant) wish(c);
+    else if (any_follows_way(c)) c->null_along.setZero(), c->null_offset.setZero();
+    if (grasps_move(c)) wish_along_ways(c, c->loop->clock, c->proposal->span, c->proposal->dt);
+}
+
+/* ν as it was looked at, and what it is now, in metres. */
+struct Pace {
+    double size = 0.0, along = 0.0, farthest = 0.0; /* square, product with the change, the largest change */
+
+    void add(const Vector6 &before, const Vector6 &now) {
+        Vector6 unit = Vector6::Ones();
+        unit.tail<3>().setConstant(TURN_LENGTH);
+        const Vector6 own = unit.cwiseProduct(before), change = unit.cwiseProduct(now - before);
+        size += own.squaredNorm(), along += own.dot(change), farthest = maximum(farthest, change.norm());
+    }
+};
+
+/* The ranked answer; again where it takes the object elsewhere than the path is after its share of the clock. ν is the mean
+ * over the share that was expected. Another share that was answered asks for another mean: where the cap makes it, for that
+ * over the share itself, else for that over the share at which both will be the same. */
+static Outcome answer(Core *c) {
+    Proposal *p = c->proposal;
+    const double h = p->dt, rest = c->duration - c->loop->clock;
+    double last_span = 0.0, last_saved = 0.0;
+    Twists own(c->scratch, 6, c->arms);
+    Outcome outcome = answer_along(c);
+    for (int i = 0; i < MOST_PACES && answered(outcome) && c->loop->path_lost == 0.0; i++) {
+        const double rate = p->new_rate, span = p->span;
+        double way = fmin(h * fmax(rate, LEAST_PACE), rest);
+        if (!(rate > 0.0 && fabs(way - span) > SAME_PACE * way)) break;
+        const Vector6 before = c->along;
+        if (grasps_move(c)) own = c->own_along;
+        Pace pace;
+        int known = look_along(c, way);
+        if (!grasps_move(c)) pace.add(before, c->along);
+        else for (int k = 0; k < c->arms; k++) pace.add(own.col(k), c->own_along.col(k));
+        const bool other = known && rate * h * pace.farthest > OFF_PACE;
+        const double saved = span - way;
+        if (other && rate < p->cap - RATE_TOLERANCE) {
+            if (i == 0) { /* to first order, where the path is as far on as the answer leads */
+                const double missed = way * pace.along, slope = saved * pace.size - missed;
+                if (slope * saved > 0.0) way -= missed * saved / slope;
+            } else { /* by the last two answers */
+                const double slope = (saved - last_saved) / (span - last_span);
+                if (slope > 0.0) way = span - saved / slope;
+            }
+            known = look_along(c, fmin(clamp(way, h * LEAST_PACE, h), rest));
+        }
+        last_span = span, last_saved = saved;
+        if (!(other && known)) {
+            c->along = before, p->span = span;
+            if (grasps_move(c)) c->own_along = own;
+            break;
+        }
+        wish_along(c);
+        corrections(c, h);
+        outcome = answer_along(c);
+    }
+    return outcome;
+}
+
 /* Find the command under a cap; returns an outcome. Nothing of the state changes. */
 static Outcome propose_capped(Core *c) {
     Proposal *p = c->proposal;
@@ -416,16 +486,13 @@ static Outcome propose_capped(Core *c) {
     /* Else at the rate that is expected: it goes on to change as it did. */
     const double expected = c->loop->rate + c->loop->rate_slope * h;
     const double pace = corner ? p->cap : fmin(p->cap, fmax(expected, 0.0));
-    p->span = fmin(h * fmax(pace, LEAST_PACE), rest);
-    if (c->loop->path_lost != 0.0 || !path_increment(c, clock, p->span, *c->pose, c->along) ||
-        (grasps_move(c) && !grasp_increments(c, clock, p->span))) {
+    const double span = fmin(h * fmax(pace, LEAST_PACE), rest);
+    if (c->loop->path_lost != 0.0 || !look_along(c, span)) {
         c->along.setZero(), c->own_along.setZero();
         if (p->watch_cap > 0.0) refuse(c, PATH_FAILED, -1, clock);
-        p->cap = 0.0;
+        p->cap = 0.0, p->span = span;
     }
-    if (c->redundant) wish(c);
-    else if (any_follows_way(c)) c->null_along.setZero(), c->null_offset.setZero();
-    if (grasps_move(c)) wish_along_ways(c, clock, p->span, h);
+    wish_along(c);
     p->rows = c->given_rows;
     if (p->has_errors == 0.0) {
         p->outcome = OPEN;

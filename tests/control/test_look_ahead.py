@@ -9,16 +9,18 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 import pytest
+from marks import slow_but_first
 from runs import preview_of
 from user_paths import OnlyMarked
 
-from coopqp import LimitKind, PreviewOptions, QPController, QPOptions, WaypointPath, plan
+from coopqp import LimitKind, LinePath, PreviewOptions, QPController, QPOptions, Status, WaypointPath, plan
 from coopqp.control.lookahead.closed_chain import ClosedChainAhead
 from coopqp.control.lookahead.horizon import Horizon
 from coopqp.control.lookahead.preview import PathPreview
 from coopqp.control.step.rate_cap import RateCap
 from coopqp.model.chain import Chain
 from coopqp.model.inverse_kinematics import newton
+from coopqp.native import available_kernels
 from coopqp.paths import TimeLaw
 from coopqp.scenarios import Scenario, at_singularity, paper_lift
 from coopqp.spatial import Array
@@ -465,3 +467,52 @@ def test_the_horizon_is_free_up_to_the_last_knot_at_full_rate() -> None:
     assert horizon.free_until(0.01) == pytest.approx(0.39)
     horizon.complete = True
     assert horizon.free_until(0.01) == np.inf
+
+
+# -- paths that are too quick for their joints -------------------------------------------------------------------------
+
+
+def time_along(task: Scenario, quickness: float, law: TimeLaw, kernel: str) -> float:
+    """Time in which a path that is so many times quicker than the task's is finished [s]; NaN if it is not."""
+    first, last, dt = task.path.pose(0.0), task.path.pose(task.path.duration), 0.005
+    path = LinePath(first, last, duration=task.path.duration / quickness, time_law=law)
+    controller = QPController(task.cell, task.grasp, path, dt=dt, options=QPOptions(kernel=kernel))
+    controller.reset(task.q_start)
+    for i in range(600):
+        if controller.step().finished:
+            return i * dt
+    return np.nan
+
+
+@pytest.mark.parametrize("kernel", slow_but_first(available_kernels()))
+@pytest.mark.parametrize("law", slow_but_first([TimeLaw.QUINTIC, TimeLaw.LINEAR]))
+@pytest.mark.parametrize("acceleration", [np.inf, 5.0])
+def test_a_path_too_quick_for_its_joints_is_followed_at_their_own_pace(
+    acceleration: float, law: TimeLaw, kernel: str
+) -> None:
+    """How quick it is says nothing: far from singularities it was BLOCKED by one from a hundred times on."""
+    task = paper_lift()
+    task = replace(task, cell=task.cell.with_limits(acceleration=acceleration))
+    own = time_along(task, 30.0, law, kernel)
+    assert own < 1.2
+    for quickness in (300.0, 1e3, 1e4):
+        assert time_along(task, quickness, law, kernel) == pytest.approx(own, abs=0.011)
+
+
+@pytest.mark.parametrize("kind", ["elbow", "reach"])
+def test_a_singularity_ends_a_path_that_is_too_quick_where_it_ends_a_slow_one(kind: str) -> None:
+    task, ends = at_singularity(kind, acceleration=10.0), []
+    for quickness in (1.0, 100.0, 1e4):
+        path = LinePath(
+            task.path.pose(0.0), task.path.pose(task.path.duration), duration=task.path.duration / quickness,
+            time_law=TimeLaw.LINEAR,
+        )  # fmt: skip
+        controller = QPController(task.cell, task.grasp, path, dt=0.005)
+        controller.reset(task.q_start)
+        for _ in range(600):
+            step = controller.step()
+        assert step.status is Status.BLOCKED
+        assert step.rate == 0.0
+        assert {limit.kind for limit in step.binding} <= {LimitKind.SINGULARITY, LimitKind.REACH}
+        ends.append(step.clock / path.duration)
+    assert np.ptp(ends) < 1e-3

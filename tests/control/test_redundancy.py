@@ -9,11 +9,14 @@ import pinocchio as pin
 import pytest
 from cells import on_another_joint
 
-from coopqp import Grasp, RobotCell
+from coopqp import Grasp, QPController, Robot, RobotCell, ServoPath, Status
 from coopqp.control.lookahead.redundancy import LimitAvoidance
+from coopqp.errors import MissingExtraError
 from coopqp.model import CellState
 from coopqp.model.chain import Chain
 from coopqp.native.constants import LIMIT_MARGIN, TURNING_WAY
+from coopqp.scenarios import robot_data_path
+from coopqp.simulation import tool_placements
 from coopqp.spatial import Array
 
 
@@ -44,7 +47,7 @@ def test_the_joint_that_is_worst_off_is_led_away_by_the_least_self_motion(
 ) -> None:
     cell = make_cell(["arm7"]) if robot == "arm7" else on_a_turntable()
     chain = Chain(cell, Grasp((pin.SE3.Identity(),)))
-    avoidance, led = LimitAvoidance(chain), 0
+    avoidance, led, contradicted = LimitAvoidance(chain), 0, 0
     for _ in range(150):
         x = cell.positions(random_q(cell, rng))
         near = rng.random(cell.nv) < 0.4
@@ -70,8 +73,46 @@ def test_the_joint_that_is_worst_off_is_led_away_by_the_least_self_motion(
         size = changed @ way / (way @ way)
         np.testing.assert_allclose(changed, size * way, atol=1e-9)
         moved = np.abs(way) > 1e-3 * way[worst]
-        # Sizes that bring each joint inside its bounds; the least of them, or the middle where they contradict.
-        ratios = np.sort(np.array([down - before, up - before])[:, moved] / (cell.limits.velocity * way)[moved], axis=0)
+        # Sizes that bring each joint inside its bounds; the least of them, or the least excess where they contradict.
+        unit = cell.limits.velocity[moved]
+        ratios = np.sort(np.array([down - before, up - before])[:, moved] / (unit * way[moved]), axis=0)
         low, high = ratios[0].max(), ratios[1].min()
-        assert size == pytest.approx(0.5 * (low + high) if low > high else min(max(0.0, low), high), rel=1e-6, abs=1e-9)
+        if low <= high:
+            assert size == pytest.approx(min(max(0.0, low), high), rel=1e-6, abs=1e-9)
+            continue
+        sizes = size + np.array([0.0, -1e-6, 1e-6])
+        slopes = before[moved] + sizes[:, None] * (unit * way[moved])
+        excess = (np.maximum(slopes - up[moved], down[moved] - slopes) / unit).max(axis=1)
+        assert excess[0] <= excess[1:].min()
+        contradicted += 1
     assert led > 30
+    assert contradicted > 10
+
+
+def test_an_object_comes_back_from_a_target_out_of_reach() -> None:
+    """Two joints at their limits contradicted each other, and on the way back, too, one was led further out."""
+    try:
+        file = robot_data_path("g1_29dof_rev_1_0.urdf")
+    except MissingExtraError:
+        pytest.skip("the extra robots is not installed")
+    joints = ("hip_pitch", "hip_roll", "hip_yaw", "knee", "ankle_pitch", "ankle_roll")
+    legs = {f"{side}_{joint}_joint": 0.0 for side in ("left", "right") for joint in joints}
+    tools = {"left": "left_wrist_yaw_link", "right": "right_wrist_yaw_link"}
+    cell = RobotCell([Robot(file, tools, name="g1", geometry=False, acceleration_limits=10.0, locked_joints=legs)])
+    q = cell.configuration([
+        -0.84275, -0.20978, -0.26881, -1.11169, -0.14974, 0.76688, 1.4283, -0.70101, 0.15391, 0.51131, -1.20536,
+        -0.36352, 1.44892, 1.06652, -0.33621, -0.11561, -0.2564,
+    ])  # fmt: skip
+    held = tool_placements(cell, [q])[0]
+    start = pin.SE3(np.eye(3), np.mean([T.translation for T in held], axis=0))
+    grasp = Grasp(tuple(start.inverse() * T for T in held))
+    controller = QPController(cell, grasp, ServoPath(start, speed=0.3, spin=1.0), dt=0.004)
+    controller.reset(q)
+    controller.step()
+    for target, status, angle in ((pin.exp3(np.array([0.0, 0.0, 3.0])), Status.BLOCKED, 132.0), (np.eye(3), None, 0.0)):
+        controller.retarget(pin.SE3(target, start.translation))
+        for _ in range(1500):
+            step = controller.step()
+        assert step.status is (status or Status.TRACKING)
+        turned = np.rad2deg(np.linalg.norm(pin.log3(controller.path.pose(step.clock_next).rotation)))
+        assert turned == pytest.approx(angle, abs=3.0)

@@ -89,11 +89,29 @@ class Reference:
         # ν: the mean twist along the path over the expected length of the step.
         pace = min(cap, max(self.rate + self.slope * h, 0.0))
         span = min(h * max(pace, 1e-3), self.path.duration - self.clock)
-        along = np.zeros(6)
-        if span > 1e-12:
-            along = pin.log6(R.actInv(self.path.pose(self.clock + span))).vector / span
+        along, past, foreseen = self._mean_twist(R, span), None, self.foreseen
         want = Wanted(np.zeros(0), np.tile(along, (self.chain.n, 1)), path, grasp, offsets, cap, *self._posture())
         found, used, start = self._linearised(R, O, want, rows)
+        for _ in range(4):  # another length was answered: over that one, or by a secant over that which answers itself
+            way = min(h * max(found.rate, 1e-3), self.path.duration - self.clock)
+            weight = np.array([1.0] * 3 + [0.3] * 3)
+            change = (self._mean_twist(R, way) - along) * weight
+            same = abs(way - span) <= 1e-6 * way or found.rate * h * np.linalg.norm(change) <= 2e-8
+            if not found.rate > 0.0 or same:
+                break
+            excess = span - way
+            if found.rate < cap - 1e-9 and past is None:
+                at = along * weight  # the path is where the answer leads, if all joints keep their share of it
+                slope = excess * (at @ at) - way * (at @ change)
+                way -= way * (at @ change) * excess / slope if slope * excess > 0.0 else 0.0
+            elif found.rate < cap - 1e-9 and past is not None and span != past[0]:
+                slope = (excess - past[1]) / (span - past[0])
+                way = span - excess / slope if slope > 0.0 else way
+            past = (span, excess)
+            span = min(max(way, 1e-3 * h), h, self.path.duration - self.clock)
+            along = self._mean_twist(R, span)
+            want, self.foreseen = replace(want, along=np.tile(along, (self.chain.n, 1))), foreseen
+            found, used, start = self._linearised(R, O, want, rows)
         # ê: what is expected of the next step; the reference goes on along all of ν.
         made = found.grasp * used.grasp + used.offsets + found.path * used.path + found.off_path
         expected = e + h * (made + found.rate * (used.along - along))
@@ -108,6 +126,12 @@ class Reference:
         if self.path.duration - self.clock < 1e-9 * self.path.duration:
             self.clock = self.path.duration
         return Step(found.v, q_next, rate, self.clock, found)
+
+    def _mean_twist(self, R: pin.SE3, span: float) -> Array:
+        """The mean twist (6,) along the path over a time from now on, in the frame of the reference R."""
+        if not span > 1e-12:
+            return np.zeros(6)
+        return np.asarray(pin.log6(R.actInv(self.path.pose(self.clock + span))).vector) / span
 
     @property
     def x(self) -> Array:

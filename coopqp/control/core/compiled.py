@@ -151,6 +151,8 @@ class CompiledLoop:
         if share != self._share:
             put_options(self._memory, self._chain, self._box, self.options.on(share), self.dt)
             self._share = share
+        if self.options.preview is not None:
+            self._memory.options.shortest = self.options.preview.along(self._guarded.duration).shortest
         elbows = self._guarded.elbows
         self._memory.options.elbows = 0 if elbows is None else len(elbows.clocks)
         self._reader = RecordReader(
@@ -603,7 +605,7 @@ class CompiledLoop:
         along = at["along"] if self._motion is None else at["own_along"].reshape(-1, 6)
         return StepInput(
             q=self.q, positions=at["positions"], carried=carried, errors=view_errors(carried, pose, carried[0]),
-            v=at["velocity"], v_before=at["before"], h=p.dt, cap=p.cap, pose=pose, along=along,
+            v=at["velocity"], v_before=at["before"], h=p.dt, cap=p.cap, pose=pose, span=p.span, along=along,
             measured=at["measured"] if p.has_measured else None, predicted=predicted if known else None,
             foreseen=foreseen if known else 0.0, last_dt=loop.last_dt,
             asked=asked if known and loop.shift_asked else None, null_along=at["null_along"],

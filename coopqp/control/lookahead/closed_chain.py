@@ -29,6 +29,7 @@ from coopqp.native.constants import (
     MOST_TRIES,
     OTHER_BRANCH,
     STARTING_STEPS,
+    TURN_LENGTH,
 )
 from coopqp.paths.guarded import GuardedPath
 from coopqp.spatial import Array, for_twists
@@ -301,6 +302,9 @@ class ClosedChainAhead:
             cap, joint, kind = 1.0 / max(by_speed, 1.0), j_speed, LimitKind.VELOCITY
         else:
             cap, joint, kind = 1.0 / max(by_bend, 1.0), j_bend, LimitKind.ACCELERATION
+        uncapped = 1.0 / max(by_speed, by_bend, 1.0)
+        if uncapped < self._options.singular_rate**2:
+            uncapped = max(uncapped, float(1.0 / np.float64(self._against_each_other(slope))))
         x = self._cell.positions(q)
         return GridPoint(
             clock=clock,
@@ -310,7 +314,7 @@ class ClosedChainAhead:
             bending=bending,
             span=0.0 if last is None else span,
             cap=cap,
-            uncapped=1.0 / max(by_speed, by_bend, 1.0),
+            uncapped=uncapped,
             binding=self._cell.joint_limit(joint, kind) if cap < 1.0 else None,
             fastest=float(speed.max()),
             change=float((bend * span - self._plan.slope_change).max()),
@@ -318,6 +322,19 @@ class ClosedChainAhead:
             steps_to_reach_end=np.maximum.reduceat(steps_to_end, self._starts),
             inside=bool(((x <= self._high) & (x >= self._low)).all()),
         )
+
+    def _against_each_other(self, slope: Array) -> float:
+        """Square of the most by which one joint alone would move the object faster than all together do.
+
+        Near a singularity joints move against each other. It does not change with the path's clock.
+        """
+        chain, most = self._chain, 0.0
+        for k, (J, columns) in enumerate(zip(chain.jacobians, chain.moving_columns, strict=True)):
+            own = (J * slope[columns]) * np.array([[1.0]] * 3 + [[TURN_LENGTH]] * 3)
+            alone, together = float((own**2).sum(axis=0).max()), float((own.sum(axis=1) ** 2).sum())
+            if k not in chain.apart and alone > 0.0:
+                most = max(most, alone / together if together > 0.0 else np.inf)
+        return most
 
     def corner(self, knot: GridPoint) -> GridPoint:
         """A knot where the twist jumps: slopes after it, and the rate at which the joints can take the jump."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Annotated
 
 import numpy as np
@@ -14,6 +14,8 @@ from coopqp.spatial import Array
 
 #: Planned share of the largest change of the rate, under acceleration limits.
 _SHARE_OF_SLOPE = 0.9
+#: Shortest interval between grid points, as a share of the path's duration.
+_SHORTEST_SHARE = 1e-5
 
 
 @documented
@@ -26,7 +28,10 @@ class PreviewOptions:
     slope_step: Annotated[
         float, Doc("largest change of a joint's slope between grid points, as a share of its largest slope and speed")
     ] = 0.1
-    shortest: Annotated[float, Doc("intervals between grid points are not halved below this [s]")] = 1e-6
+    shortest: Annotated[
+        float,
+        Doc("intervals between grid points are not halved below this [s], nor below 1e-5 of the path's duration"),
+    ] = 1e-6
     margin: Annotated[
         float, Doc("η, share of velocity and acceleration limits that is planned with where acceleration is limited")
     ] = 0.95
@@ -61,6 +66,10 @@ class PreviewOptions:
         keep_scalars(self, "margin", "curvature_share", "singular_rate", high=1.0)
         keep_scalars(self, "doubt", open_low=False)
         object.__setattr__(self, "newton_steps", as_count(self.newton_steps, "PreviewOptions: newton_steps"))
+
+    def along(self, duration: float) -> PreviewOptions:
+        """These settings on a path of a duration [s]."""
+        return replace(self, shortest=min(self.shortest, _SHORTEST_SHARE * duration)) if duration > 0.0 else self
 
     def slope(self, *, accelerates: bool, dt: float) -> float:
         """Largest change of the rate [1/s] of joints with or without acceleration limits."""

@@ -18,8 +18,9 @@ class LimitAvoidance:
 
     Near a limit at distance d the slope of a joint towards it is at most ``S (d − m) / w``, with the margin m, the way
     w, and the arm's largest slope S in units of the joints' speeds. The least self-motion that keeps these bounds is
-    taken. If none does, it is the middle between the bounds that contradict each other. An arm with more than one joint
-    beyond six uses the self-motion that moves the joint that is worst off. Arms that share joints are one arm here.
+    taken. If none does, all bounds give way by the same, in units of the joints' speeds. An arm with more than one
+    joint beyond six uses the self-motion that moves the joint that is worst off. Arms that share joints are one arm
+    here.
 
     Args:
         chain: evaluated and inverted where it is asked.
@@ -58,7 +59,11 @@ class LimitAvoidance:
             return own
         moves = np.abs(way) > LEADS * way[worst]
         a, b = (down[moves] - own[moves]) / way[moves], (up[moves] - own[moves]) / way[moves]
-        low, high = float(np.minimum(a, b).max()), float(np.maximum(a, b).min())
-        z = 0.5 * (low + high) if low > high else min(max(0.0, low), high)
+        lows, highs, gives = np.minimum(a, b), np.maximum(a, b), scale[moves] / np.abs(way[moves])
+        z = min(max(0.0, float(lows.max())), float(highs.min()))
+        if lows.max() > highs.min():
+            give = (lows[:, None] - highs) / (gives[:, None] + gives)
+            i = int(give.argmax()) // len(highs)
+            z = float(lows[i] - give.max() * gives[i])
         led: Array = own + z * way
         return led

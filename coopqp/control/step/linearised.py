@@ -34,7 +34,8 @@ class StepInput:
         h: length of the step [s].
         cap: largest rate.
         pose: reference pose R of the object.
-        along: ν, twist along the path (6,); (N, 6) where tools move on the object.
+        span: share of the clock that the step is expected to take [s].
+        along: ν, mean twist along the path over it (6,); (N, 6) where tools move on the object.
         measured: the object's error for the path correction (6,); None for the commanded one.
         predicted: errors that the last step expected for this one (N, 6); None if it expected none.
         foreseen: the defects b_k that the last step made up for (N, 6), or 0.
@@ -56,6 +57,7 @@ class StepInput:
     h: float
     cap: float
     pose: pin.SE3
+    span: float
     along: Array
     measured: Array | None
     predicted: Array | None

@@ -46,16 +46,29 @@ from coopqp.model.posture import Posture
 from coopqp.native.constants import (
     FAR_FROM_WAY,
     LEAST_PACE,
+    MOST_PACES,
     MOST_TIGHTENINGS,
     MOST_TRAVELS,
     NEGLIGIBLE,
+    OFF_PACE,
+    RATE_TOLERANCE,
     SAID_APART,
     SAME_CLOCK,
+    SAME_PACE,
+    TURN_LENGTH,
 )
 from coopqp.paths.grasp_motion import GraspMotion
 from coopqp.paths.guarded import GuardedPath, jump
 from coopqp.paths.path import ObjectPath
 from coopqp.spatial import Array
+
+#: Twists (…, 6) in metres: a turn of 1 rad counts as :data:`TURN_LENGTH`.
+_UNIT_OF_TWISTS = np.array([1.0] * 3 + [TURN_LENGTH] * 3)
+
+
+def farthest(twists: Array) -> float:
+    """The largest length of twists (…, 6) [m]."""
+    return float(np.linalg.norm(twists * _UNIT_OF_TWISTS, axis=-1).max())
 
 
 @final
@@ -122,7 +135,7 @@ class PlainLoop:
                 path,
                 self._posture,
                 dt=self.dt,
-                options=self._on_path.preview,
+                options=self._on_path.preview and self._on_path.preview.along(self._guarded.duration),
                 bound=ahead.bound if self.constraints else None,
                 evade=ahead.evade if self.constraints.evades and not self._guarded.keeps_clear else None,
                 shift=self._ahead_shift,
@@ -306,10 +319,13 @@ class PlainLoop:
             self._shares[:] = self.options.common_error.shares_of(self.cell, holds)
             self._supervision.hold(np.array(holds))
 
-    def _along(self, pose: pin.SE3, ahead: pin.SE3, clock: float, span: float) -> Array:
+    def _along(self, pose: pin.SE3, clock: float, span: float) -> Array | None:
         """ν of each arm (N, 6), or of all (6,) where grasps are fixed: with M_k its tool's motion on the object,
-        ``log(R(τ)⁻¹ R(τ + h) M_k(τ + h) M_k(τ)⁻¹) / h``.
+        ``log(R(τ)⁻¹ R(τ + h) M_k(τ + h) M_k(τ)⁻¹) / h``. None where the path fails.
         """
+        ahead = self._guarded.pose(clock + span)
+        if ahead is None:
+            return None
         way = pose.actInv(ahead)
         if self._motion is None:
             return np.asarray(pin.log6(way).vector) / span
@@ -428,27 +444,25 @@ class PlainLoop:
         span = min(h * max(pace, LEAST_PACE), rest)
         along = np.zeros(6)
         if span > 1e-12 and not seen.lost:
-            ahead = self._guarded.pose(s.clock + span)
+            ahead = self._along(seen.pose, s.clock, span)
             if ahead is None:
                 seen.watch.lower(Watch.holding(self._guarded.problem))
                 cap = 0.0
             else:
-                along = self._along(seen.pose, ahead, s.clock, span)
+                along = ahead
         if self._brakes_together:
             about, gives_way = seen.carried[0].translation, self._gives_way
             further = further.and_also(
                 self._braking.rows(s.q, s.v, h, about, gives_way=gives_way, hold=seen.watch.hold)
             )
-        null_along, null_offset = self._null_space_reference(span, hold=seen.watch.hold)
-        if self._chain.apart:
-            null_along, null_offset = self._own_ways(null_along, null_offset, span, h, hold=seen.watch.hold)
+        null_along, null_offset = self._wishes(span, h, hold=seen.watch.hold)
         asked = None if s.predicted is None else s.asked_shift
         given = StepInput(
-            s.q, self.cell.positions(s.q), seen.carried, seen.errors, s.v, s.v_before, h, cap, seen.pose, along,
+            s.q, self.cell.positions(s.q), seen.carried, seen.errors, s.v, s.v_before, h, cap, seen.pose, span, along,
             measured, s.predicted, s.foreseen, s.last_dt, asked, null_along, null_offset, further, s.first,
             seen.watch.hold,
         )  # fmt: skip
-        return Proposal(seen, given, self._tightened(given), binding)
+        return Proposal(seen, given, self._tightened(given, lost=seen.lost), binding)
 
     @property
     def _no_horizon(self) -> bool:
@@ -465,17 +479,58 @@ class PlainLoop:
         """Whether arms that give way have left their path, under acceleration limits."""
         return self.constraints.gives_way and self._box.accelerates and self.state.correcting is not None
 
-    def _tightened(self, given: StepInput) -> LinearisedAnswer:
+    def _tightened(self, given: StepInput, *, lost: bool) -> LinearisedAnswer:
         """The answer; again with tighter rows where it violates their constraints."""
-        linearised = self._step.answer(given)
+        linearised = self._at_pace(given, lost=lost)
         for _ in range(MOST_TIGHTENINGS):
             v = linearised.answer.velocity
             rows = self.constraints.tightened(given.further, self.cell.moved(given.q, given.h * v), v, given.h)
             if rows is None:
                 break
             given.further = rows
+            linearised = self._at_pace(given, lost=lost)
+        return linearised
+
+    def _at_pace(self, given: StepInput, *, lost: bool) -> LinearisedAnswer:
+        """The answer; again where it takes the object elsewhere than the path is after its share of the clock.
+
+        ν is the mean over the share that was expected. Another share that was answered asks for another mean: where the
+        cap makes it, for that over the share itself, else for that over the share at which both will be the same.
+        """
+        h, clock, rest = given.h, self.state.clock, self._guarded.duration - self.state.clock
+        linearised, before = self._step.answer(given), None
+        for _ in range(MOST_PACES):
+            rate, last, span = linearised.answer.rate, given.along, given.span
+            way = min(h * max(rate, LEAST_PACE), rest)
+            if lost or not rate > 0.0 or abs(way - span) <= SAME_PACE * way:
+                break
+            along = self._along(given.pose, clock, way)
+            if along is None or rate * h * farthest(along - last) <= OFF_PACE:
+                break
+            saved = span - way
+            if rate < given.cap - RATE_TOLERANCE:
+                if before is None:  # to first order, where the path is as far on as the answer leads
+                    weighed, change = ((x * _UNIT_OF_TWISTS).ravel() for x in (last, along - last))
+                    missed = way * float(weighed @ change)
+                    slope = saved * float(weighed @ weighed) - missed
+                    way += -missed * saved / slope if slope * saved > 0.0 else 0.0
+                else:  # by the last two answers
+                    slope = (saved - before[1]) / (span - before[0]) if span != before[0] else 0.0
+                    way = span - saved / slope if slope > 0.0 else way
+                way = min(max(way, h * LEAST_PACE), rest, h)
+                along = self._along(given.pose, clock, way)
+                if along is None:
+                    break
+            before = (span, saved)
+            given.span, given.along = way, along
+            given.null_along, given.null_offset = self._wishes(way, h, hold=given.hold)
             linearised = self._step.answer(given)
         return linearised
+
+    def _wishes(self, span: float, h: float, *, hold: bool) -> tuple[Array, Array]:
+        """Wanted joint velocities in the null-space, with those of arms that follow their own way."""
+        along, offset = self._null_space_reference(span, hold=hold)
+        return self._own_ways(along, offset, span, h, hold=hold) if self._chain.apart else (along, offset)
 
     def _brake_correction(self, keep: float, seen: Observed) -> Array:
         """The error that the path correction sees, limited so that the correction is ``keep`` of the last one."""
