@@ -115,6 +115,7 @@ class Found:
     false_ends: int = 0
     outwards: int = 0
     unnamed: int = 0
+    unfinished: int = 0
 
 
 def _placed(rng: np.random.Generator, cell: RobotCell, x: Array, kind: str) -> tuple[Array, RobotCell, bool]:
@@ -176,7 +177,9 @@ def _run(rng: np.random.Generator, kind: str, found: Found) -> None:
         def take(self, moment: float, measured: Array, sent: Array, step: Any, clock: float) -> None:
             now = np.maximum(sent - cell.limits.upper, cell.limits.lower - sent)
             self.outwards |= bool((now > np.maximum(outside, 0.0) + 1e-6).any())
-            if moment > _LONGEST:
+            if loop.stands:
+                loop.stop(f"robot '{loop.stopped_robot}' stopped")
+            elif moment > _LONGEST:
                 loop.stop("it never ends")
 
     watch = Watch()
@@ -198,6 +201,7 @@ def _run(rng: np.random.Generator, kind: str, found: Found) -> None:
     found.false_ends += finished and bool(off > _END)
     found.outwards += watch.outwards or (refuse and any(robot.first or robot.leap for robot in drivers.values()))
     found.unnamed += not finished and not named
+    found.unfinished += not finished
 
 
 def promises(quick: bool) -> Iterator[Promise]:
@@ -213,3 +217,5 @@ def promises(quick: bool) -> Iterator[Promise]:
         yield Promise(f"{case}: finished, and not at the end", float(found.false_ends), 0.0, "runs")
         yield Promise(f"{case}: sent further outside the limits", float(found.outwards), 0.0, "runs")
         yield Promise(f"{case}: ended without a name and a reason", float(found.unnamed), 0.0, "runs")
+        if kind in ("turns", "sag", "lags"):  # nothing hinders these robots
+            yield Promise(f"{case}: not finished", float(found.unfinished), 0.0, "runs")

@@ -339,7 +339,7 @@ def _waits_told(loop: ControlLoop, *, led: bool) -> Iterator[None]:
     over = threading.Event()
 
     def after_stop() -> None:
-        stop = "a robot has stopped, and all arms stand"
+        stop = f"robot '{loop.stopped_robot}' has stopped, and all arms stand"
         if led:
             say(f"{stop}: they go on after resume")
         elif sys.stdin.isatty():

@@ -117,7 +117,7 @@ class ControlLoop(LoopCalls):
         self._ending = ""
         self._failed = False
         self._motion: SharedMotion | None = None
-        self._standing = False
+        self._standing, self._stopped_robot = False, ""
         self._step: ControlStep | None = None
 
     # -- operators' calls ------------------------------------------------------------------------------------------
@@ -126,6 +126,11 @@ class ControlLoop(LoopCalls):
     def stands(self) -> bool:
         """Whether the arms stand after a stop of one of them, and wait for :meth:`resume`."""
         return self._standing
+
+    @property
+    def stopped_robot(self) -> str:
+        """The robot behind which the arms stood last; empty before the first stop."""
+        return self._stopped_robot
 
     @property
     def last_step(self) -> ControlStep | None:
@@ -424,7 +429,7 @@ class ControlLoop(LoopCalls):
         """All stand where the slowest stands: the controller begins again there, paused."""
         motion = self._motion
         assert motion is not None
-        clock = motion.clock()
+        clock, self._stopped_robot = motion.clock(), self.robots[motion.law.slowest].name
         q = self.cell.configuration_of(motion.shared.point)
         self.controller.pause()
         self.controller.reset(q, clock=clock)

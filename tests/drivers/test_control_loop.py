@@ -175,9 +175,12 @@ def _resume(robots, loop):
 @pytest.mark.slow
 @pytest.mark.parametrize("says", [Condition.RUNNING, Condition.PROTECTIVE])
 def test_the_others_go_back_to_an_arm_that_stops_and_on_by_hand(cell, lift, says):
-    run = drive(cell, lift, (0.0,) * 3, events=[(0.7, _halt(1, says)), (2.2, _release(1)), (2.4, _resume)])
+    named = []
+    look = (2.1, lambda robots, loop: named.append(loop.stopped_robot))
+    run = drive(cell, lift, (0.0,) * 3, events=[(0.7, _halt(1, says)), look, (2.2, _release(1)), (2.4, _resume)])
     assert run.report.finished, run.report.reason
     assert run.report.stops == 1
+    assert named == ["slave_1"]
     assert run.report.slowest_rate < 0.0
     times = run.time[::5]
     assert run.apart[(times > 1.3) & (times < 2.2)].max() <= 5e-4
