@@ -33,6 +33,7 @@ from coopqp import (
     QPOptions,
     Status,
     check_path,
+    find_path,
     load_cell_file,
     simulate,
 )
@@ -797,6 +798,12 @@ def test_a_hull_much_larger_than_its_mesh_is_named(tmp_path: Path) -> None:
     assert check.clearance is not None
     assert f"note: {said}." in check.explain().splitlines()
     assert check.clearance.record()["notes"] == [said]
+    T = task.path.pose(0.0)
+    around = Body("pair", meshes[1].shape, pin.SE3(np.eye(3), T.translation - np.array([0.2, 0.0, 0.0])))
+    blocked = CollisionScene.of(task, obstacles=[around])
+    route = find_path(task.cell, task.grasp, T, task.path.pose(task.path.duration), blocked)
+    assert "pair come inside their margin" in route.reason
+    assert route.reason.endswith(f" Note: {said}.")
     run = simulate(QPController(task.cell, task.grasp, task.path, dt=0.05), q_start=task.q_start)
     run = with_clearance(run, scene, avoided=False)
     assert said in next(f.answer for f in evaluate(task.cell, run, read_run(task.cell, run)) if "clear" in f.question)

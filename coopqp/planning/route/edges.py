@@ -146,6 +146,11 @@ class SearchedBodies(Bodies, Protocol):
         ...
 
     @property
+    def notes(self) -> Sequence[str]:
+        """Remarks on the bodies, e.g. that a mesh counts as its hull."""
+        ...
+
+    @property
     def starts_inside(self) -> Array:
         """Pairs that may start inside their margin (P,), and come no closer then."""
         ...

@@ -22,7 +22,7 @@ from coopqp.paths.elbows import Elbows
 from coopqp.paths.timed import SpeedProfile, TimedPath
 from coopqp.planning.branch_checks import PathVerdict
 from coopqp.planning.check import PathCheck, check_motion, check_path
-from coopqp.planning.clearance_check import check_scene
+from coopqp.planning.clearance_check import check_scene, remark
 from coopqp.planning.planner import some_timing
 from coopqp.planning.route.duration import estimated_squares
 from coopqp.planning.route.edges import SPARE, EdgeLimits, Edges, SearchedBodies, Stop, columns_of, limits_with
@@ -251,6 +251,7 @@ class _Finding:
         reason = f"The {which} is impossible: {ends.why}."
         if not ends.proved:
             reason = f"No way was found; nothing is proved. At the {which} {ends.why}."
+        reason += "".join(f" Note: {text}." for text in remark(self._scene.notes))  # a hull may be what is in the way
         return Route(verdict=verdict, reason=reason, first_s=spent, total_s=spent)
 
     def _between(self, starts: list[Node], goals: list[Node]) -> Route:
