@@ -8,13 +8,13 @@ from __future__ import annotations
 
 import contextlib
 import json
+import multiprocessing
 import os
 import socket
 import struct
 import sys
 import tempfile
-import threading
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 from urllib.parse import urlsplit
@@ -85,18 +85,41 @@ def _forged(rng: np.random.Generator) -> bytes:
 
 
 class _Watch:
-    """What a run tells, and when strangers begin."""
+    """What a run tells.
 
-    def __init__(self) -> None:
-        self.number, self.apart, self.begun = 0, 0.0, threading.Event()
+    Args:
+        begin: called once, when it goes on for a while.
+    """
+
+    def __init__(self, begin: Callable[[], None]) -> None:
+        self._begin, self._number, self.apart = begin, 0, 0.0
 
     def take(self, moment: float, measured: Array, sent: Array, step: ControlStep, clock: float) -> None:
         """One period."""
-        self.number += 1
-        if self.number == _BEGIN:
-            self.begun.set()
+        self._number += 1
+        if self._number == _BEGIN:
+            self._begin()
         if np.isfinite(measured).all():
             self.apart = max(self.apart, float(np.abs(measured - sent).max()))
+
+
+def _stranger(link: Any, count: int) -> None:
+    """Another program, which sends packets by the ways that it is told, and tells how many were taken."""
+    link.send("ready")
+    ways, rng, taken = link.recv(), np.random.default_rng(0), 0
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as stranger:
+        stranger.setblocking(False)
+        for i in range(count):
+            packet, way = _forged(rng), ways[i % len(ways)]
+            with contextlib.suppress(OSError):
+                if isinstance(way, str):
+                    opened = os.open(way, os.O_WRONLY | os.O_NONBLOCK)
+                    taken += os.write(opened, packet) > 0
+                    os.close(opened)
+                else:
+                    stranger.sendto(packet, ("127.0.0.1", way))
+                    taken += len(stranger.recv(65536)) > 0
+    link.send(taken)
 
 
 def _packets(count: int) -> Iterator[Promise]:
@@ -104,50 +127,44 @@ def _packets(count: int) -> Iterator[Promise]:
 
     Ways are UDP ports, and the paths of sockets in ``/proc``, which no process may open.
     """
-    run, here = load_cell_file(_CELL).led(), os.getpid()
+    run, here, context = load_cell_file(_CELL).led(), os.getpid(), multiprocessing.get_context("spawn")
+    link, theirs = context.Pipe()
+    stranger = context.Process(target=_stranger, args=(theirs, count), daemon=True)
+    stranger.start()
+    theirs.close()
+    link.recv()
     doors_before, children, memory = doors(here), _children(), named_memory(here)
     sockets_before = set(_sockets(here).values())
     drivers: Any = run.drivers("sim")
-    watch, taken, open_doors = _Watch(), [0], set[tuple[str, int]]()
+    open_doors: set[tuple[str, int]] = set()
 
-    def attack() -> None:
-        watch.begun.wait(60.0)
+    def begin() -> None:
         own = _children() - children
         open_doors.update(doors(here) - doors_before, *map(doors, own))
         ways: list[int | str] = [port for kind, port in open_doors if kind.startswith("udp")]
         for process in (here, *own):
             ways += [path for path, inode in _sockets(process).items() if inode not in sockets_before]
-        rng = np.random.default_rng(0)
-        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as stranger:
-            stranger.setblocking(False)
-            for i in range(count):
-                packet, way = _forged(rng), ways[i % len(ways)]
-                with contextlib.suppress(OSError):
-                    if isinstance(way, str):
-                        opened = os.open(way, os.O_WRONLY | os.O_NONBLOCK)
-                        taken[0] += os.write(opened, packet) > 0
-                        os.close(opened)
-                    else:
-                        stranger.sendto(packet, ("127.0.0.1", way))
-                        taken[0] += len(stranger.recv(65536)) > 0
+        link.send(ways)
 
-    thread = threading.Thread(target=attack, daemon=True)
-    thread.start()
-    loop = ControlLoop(run.controller(), drivers, LoopOptions(ramp_time=0.5, gone_after=2.0), recorder=watch)
+    watch = _Watch(begin)
+    loop = ControlLoop(
+        run.controller(), drivers, LoopOptions(ramp_time=0.5, gone_after=10.0, give_up_after=10.0), recorder=watch
+    )
     try:
         report = loop.run()
-        watch.begun.set()
-        thread.join(300.0)
+        taken = link.recv()
         own = _children() - children
         names = set[str]().union(*(named_memory(process) for process in (here, *own))) - memory
         ended = len(drivers) - len(own)
     finally:
         for driver in drivers.values():
             driver.close()
+        stranger.join(10.0)
     yield Promise("ports and named sockets of drivers and their robots' processes", len(open_doors), 0, "")
     yield Promise("files in memory with a name, of a run", len(names), 0, "")
-    harmed = taken[0] + ended + (not report.finished) + (watch.apart > 0.3)
-    yield Promise(f"{count} packets of strangers by every way to a robot: taken", harmed, 0, "")
+    yield Promise(f"{count} packets of strangers by every way to a robot: taken", taken + ended, 0, "")
+    yield Promise("the run under these packets ended early", not report.finished, 0, "")
+    yield Promise("a robot was off its commands under these packets", watch.apart, 0.3, "rad")
 
 
 def _requests(url: str, count: int) -> tuple[int, int]:
