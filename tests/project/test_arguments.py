@@ -103,9 +103,15 @@ def test_solvers_are_names_or_objects_and_settings_may_be_a_dictionary() -> None
     controller(options={"solver": "proxqp", "solver_settings": settings})
 
 
+@pytest.mark.parametrize("dt", [np.float32(0.5), np.float64(0.5), np.array(0.5)])
+def test_any_number_is_a_length_of_a_step(dt: Any) -> None:
+    assert controller(dt=dt).dt == 0.5
+
+
 @pytest.mark.parametrize("dt", [2, np.float32(2.0), np.int64(2), np.array(2.0)])
-def test_a_whole_number_is_a_length_of_a_step(dt: Any) -> None:
-    assert controller(dt=dt).dt == 2.0
+def test_whole_numbers_are_milliseconds_and_no_length_of_a_step(dt: Any) -> None:
+    with pytest.raises(InvalidInputError, match=r"milliseconds\. Give seconds: 0\.002"):
+        controller(dt=dt)
 
 
 def test_a_matrix_is_a_placement() -> None:
