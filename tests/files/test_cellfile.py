@@ -209,6 +209,7 @@ def test_models_from_files_beside_the_cell_file(load: Callable[[str], CellRun], 
         )
     )
     assert run.scenario.cell.nv == 6
+    pytest.importorskip("mujoco")
     mjcf = (
         '<mujoco><worldbody><body name="b"><joint name="j" axis="0 0 1"/><geom size="1"/></body></worldbody></mujoco>'
     )
