@@ -163,7 +163,8 @@ def _packets(count: int) -> Iterator[Promise]:
     yield Promise("ports and named sockets of drivers and their robots' processes", len(open_doors), 0, "")
     yield Promise("files in memory with a name, of a run", len(names), 0, "")
     yield Promise(f"{count} packets of strangers by every way to a robot: taken", taken + ended, 0, "")
-    yield Promise("the run under these packets ended early", not report.finished, 0, "")
+    why = "" if report.finished else f": {report.reason}"
+    yield Promise(f"the run under these packets ended early{why}", not report.finished, 0, "")
     yield Promise("a robot was off its commands under these packets", watch.apart, 0.3, "rad")
 
 
