@@ -125,7 +125,8 @@ def _placed(rng: np.random.Generator, cell: RobotCell, x: Array, kind: str) -> t
         endless = np.flatnonzero(cell.continuous)
         x[endless] += math.tau * rng.integers(-4, 5, len(endless))
         moved = x + math.tau * rng.choice([-1, 1], cell.nv)
-        inside = (cell.limits.lower <= moved) & (moved <= cell.limits.upper) & ~cell.continuous
+        # With room for the path, which the limits would block elsewhere.
+        inside = (cell.limits.lower + 0.5 <= moved) & (moved <= cell.limits.upper - 0.5) & ~cell.continuous
         x[inside] = moved[inside]
     if kind == "ranges":
         j = int(rng.choice(np.flatnonzero(~cell.continuous)))
