@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import itertools
+import math
 from typing import final
 
 import numpy as np
@@ -15,8 +15,11 @@ from coopqp.paths.path import ObjectPath
 from coopqp.paths.time_law import TimeLaw
 from coopqp.spatial import Array, Placement, as_placement
 
-#: Samples of a length along a path.
-_SAMPLES = 400
+#: A length along a path is measured in pieces of at most this share of it; each takes at least one of so many parts of
+#: the time that is left, and at most one of so few.
+_PIECE, _SAMPLES, _FEWEST = 0.125, 400, 50
+#: An endless path is looked at so far ahead [s].
+_FURTHEST = 60.0
 
 
 @final
@@ -75,15 +78,28 @@ def clock_after(path: ObjectPath, clock: float, length: float) -> float:
     Returns:
         The clock; ``clock`` itself where the path goes no further.
     """
-    ends = path.duration if np.isfinite(path.duration) else clock + 60.0
-    clocks = np.linspace(clock, ends, _SAMPLES)
-    poses = [path.pose(float(t)) for t in clocks]
-    ways = [0.0]
-    for a, b in itertools.pairwise(poses):
-        step = np.asarray(pin.log6(a.actInv(b)).vector)
-        ways.append(ways[-1] + max(float(np.linalg.norm(step[:3])), TURN_LENGTH * float(np.linalg.norm(step[3:]))))
-    if ways[-1] <= 0.0:
-        return clock
-    if ways[-1] <= length:
-        return float(clocks[int(np.searchsorted(ways, ways[-1]))])
-    return float(np.interp(length, ways, clocks))
+    ends = path.duration if math.isfinite(path.duration) else clock + _FURTHEST
+    least, most = (ends - clock) / _SAMPLES, (ends - clock) / _FEWEST
+    span, way, at, moving = least, 0.0, clock, clock
+    here = path.pose(at)
+    while at < ends:
+        ahead = min(at + span, ends)
+        there = path.pose(ahead)
+        moved = _way_between(here, there)
+        if moved > _PIECE * length and span > least:
+            span = max(0.5 * span, least)
+            continue
+        if way + moved >= length:
+            return at + (length - way) / moved * (ahead - at)
+        if moved < 0.5 * _PIECE * length:
+            span = min(2.0 * span, most)
+        moving = ahead if moved > 1e-12 else moving
+        at, here, way = ahead, there, way + moved
+    return moving
+
+
+def _way_between(a: pin.SE3, b: pin.SE3) -> float:
+    """Length of the straight way between two poses [m], a turn of 1 rad as 0.3 m."""
+    v = pin.log6(a.actInv(b))
+    (x, y, z), (p, q, r) = v.linear.tolist(), v.angular.tolist()
+    return max(math.hypot(x, y, z), TURN_LENGTH * math.hypot(p, q, r))
