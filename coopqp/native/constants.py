@@ -237,4 +237,5 @@ MOST_SHARED = 6  # and these joints
 MOST_GROUP_JOINTS = 40  # of all arms of a group
 MOST_KINKS = 64  # clocks at which the twist of a user's path was found to jump, that are kept
 SEGMENT = 29  # numbers of a segment, see ObjectPath.packed
+SHIFT = 8  # numbers of a shift of the path, see unshifted
 GRASP_PIECE = 53  # numbers of a piece of a tool's motion on the object, see GraspMotion.packed

@@ -68,6 +68,8 @@ struct Core {
      * their starts. A path without segments is known to own_path. */
     const double *path_numbers = nullptr;
     double duration = 0.0;
+    const double *shifts = nullptr; /* of the path, in their order: SHIFT numbers each, see paths.cpp */
+    int shift_count = 0;
     const double *grasp_numbers = nullptr; /* how the tools move on the object, see grasps.cpp; nullptr where they are fixed */
     Minding *minding = nullptr; /* of the forces between the arms, see minding.h; nullptr where nobody minds them */
     /* Calls into Python; 0 if they fail. The pose comes into `own_pose`, or with `twist` six numbers. */

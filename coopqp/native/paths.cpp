@@ -1,7 +1,9 @@
 /* Pose and twist of the object's path: segments of 29 numbers
  *   R(0) 0–8, p(0) 9–11, rotation vector 12–14, displacement 15–17, start 18, duration 19, time law 20 (0 linear,
  *   1 quintic, 2 ramps, 3 even acceleration from 21, the speed at the start over the mean one), velocity 21–23 and angular velocity 24–26 that die away, times of both ramps 27–28
- * as the library's own paths pack them, or a path that only its owner knows. */
+ * as the library's own paths pack them, or a path that only its owner knows.
+ * Shifts of the path, in their order, of 8 numbers: the clocks at which it begins to come in and is in wholly, which fall
+ * on the way back, and the logarithm of the shift in the world. */
 
 #include "functions.h"
 
@@ -89,11 +91,28 @@ static Pose pose_on(const double *segment, Place at) {
     return T;
 }
 
+/* ShiftedPath: the pose of the unshifted path becomes the one of the shifted path; so does the twist if there is one. */
+static void shift_on(const Core *c, double clock, Pose &T, Vector6 *twist) {
+    const bool rests = !(clock >= 0.0 && clock < c->duration);
+    const double at = clamp(clock, 0.0, c->duration);
+    for (int i = 0; i < c->shift_count; i++) {
+        const double *shift = c->shifts + SHIFT * i, span = shift[1] - shift[0];
+        const Place share = on_law((at - shift[0]) / span, 1.0, 0.0, span);
+        const Eigen::Map<const Vector6> log(shift + 2);
+        if (twist && share.rate != 0.0 && !rests) { /* the motion log, seen from T */
+            const Vector3 linear = log.head<3>() + log.tail<3>().cross(T.p);
+            *twist += share.rate * both(T.R.transpose() * linear, T.R.transpose() * log.tail<3>());
+        }
+        if (share.u != 0.0) T = compose(exp6(share.u * log), T);
+    }
+}
+
 static int path_pose(Core *c, double clock, Pose &T) {
     if (count_of(c, 2)) {
         double end;
         const double *segment = segment_at(c, clock, &end);
         T = pose_on(segment, place_on(segment, clock));
+        shift_on(c, clock, T, nullptr);
         return 1;
     }
     c->asked++;
@@ -113,10 +132,13 @@ static int path_twist(Core *c, double clock, Ref6 twist) {
     const double *segment = segment_at(c, clock, &end);
     const Place at = place_on(segment, clock);
     const Eigen::Map<const Vector3> turn(segment + 12), way(segment + 15), dying(segment + 21), spin(segment + 24);
-    const Matrix3 R = pose_on(segment, at).R;
+    Pose T = pose_on(segment, at);
+    const Matrix3 &R = T.R;
     Vector3 velocity = at.rate * way, angular = at.rate * turn;
     if (has_ramps(segment)) velocity += at.fading * dying, angular += at.fading * (R.transpose() * spin);
-    twist = both(R.transpose() * velocity, angular);
+    Vector6 found = both(R.transpose() * velocity, angular);
+    shift_on(c, clock, T, &found);
+    twist = found;
     return 1;
 }
 
@@ -167,7 +189,7 @@ static double found_by_seeking(const Core *c, int pose) {
  * the many pieces of a plan along a line follow each other. */
 static int along_one_axis(const Core *c, double from, double to, Vector3 &omega, Vector3 &moved) {
     double end;
-    if (!count_of(c, 2)) return 0;
+    if (!count_of(c, 2) || c->shift_count) return 0;
     const double *segment = segment_at(c, from, &end);
     if (has_ramps(segment)) return 0;
     const Eigen::Map<const Vector3> turn(segment + 12), way(segment + 15);

@@ -20,7 +20,7 @@ from coopqp.native.constants import GRASP_PIECE
 from coopqp.paths.joint_path import JointPiece
 from coopqp.paths.time_law import TimeLaw
 from coopqp.shown import Brief
-from coopqp.spatial import Array, adjoint
+from coopqp.spatial import Array, adjoint, rotations
 
 #: Where a segment's numbers have its start [s], its duration [s] and its time law.
 _START, _DURATION, _LAW = 18, 19, 20
@@ -208,7 +208,7 @@ class GraspMotion(Brief):
             touched = [p for p in pieces if p.start < high and p.end > low]
             if pieces and not touched:
                 touched = [_still(self.moved(k, begin))]
-            made = [GraspPiece(p.A, p.B, of_section(p.segment, begin, sense)) for p in touched]
+            made = [GraspPiece(p.A, p.B, of_section(p.segment[None], begin, sense)[0]) for p in touched]
             arms.append(tuple(made[::sense]))
         marks = [(at, holds) for at, holds in self.contact if low < at < high]
         if sense > 0:
@@ -250,20 +250,19 @@ def still_from(clock: float, M: pin.SE3) -> GraspPiece:
     return GraspPiece(M, pin.SE3.Identity(), segment)
 
 
-def of_section(segment: Array, begin: float, sense: int) -> Array:
-    """A segment's numbers on a section that begins at a clock [s]; backwards for a sense of −1.
+def of_section(segments: Array, begin: float, sense: int) -> Array:
+    """Numbers of segments (n, 29) on a section that begins at a clock [s]; backwards for a sense of −1.
 
     Time laws are their own mirror images, as is even acceleration.
     """
-    made = segment.copy()
+    made = segments[::sense].copy()
     if sense > 0:
-        made[_START] -= begin
+        made[:, _START] -= begin
         return made
-    made[_START] = begin - (segment[_START] + segment[_DURATION])
-    R, turn, line = segment[:9].reshape(3, 3), segment[12:15], segment[15:18]
-    if segment[_LAW] == LAWS[2]:
-        made[21] = 2.0 - segment[21]
-    made[:9] = (R @ pin.exp3(turn)).ravel()
-    made[9:12] += line
-    made[12:15], made[15:18] = -turn, -line
+    made[:, _START] = begin - (made[:, _START] + made[:, _DURATION])
+    even = made[:, _LAW] == LAWS[2]
+    made[even, 21] = 2.0 - made[even, 21]
+    made[:, :9] = (made[:, :9].reshape(-1, 3, 3) @ rotations(made[:, 12:15])).reshape(-1, 9)
+    made[:, 9:12] += made[:, 15:18]
+    made[:, 12:18] *= -1.0
     return made

@@ -11,13 +11,14 @@ import math
 from bisect import bisect_right
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from types import MappingProxyType
 from typing import final
 
 import numpy as np
 import pinocchio as pin
 
-from coopqp.checks import ArrayLike, as_scalar, as_vector
+from coopqp.checks import ArrayLike, as_scalar, as_vector, read_only
 from coopqp.errors import InvalidInputError
 from coopqp.paths.elbows import Elbows
 from coopqp.paths.geometry import PathGeometry, Straight, motion_length
@@ -273,8 +274,12 @@ class WaypointPath(ObjectPath):
 
     def packed(self) -> Array:
         """A segment for each pair of waypoints; the twist jumps between them."""
+        return self._numbers
+
+    @cached_property
+    def _numbers(self) -> Array:
         inner, segments = self._starts[1:], [s.segment(t) for s, t in zip(self.segments, self._starts, strict=True)]
-        return np.concatenate([[self.duration, len(inner), len(segments)], inner, *segments])
+        return read_only(np.concatenate([[self.duration, len(inner), len(segments)], inner, *segments]))
 
     def _segment(self, clock: float) -> tuple[LinePath, float]:
         i = max(bisect_right(self._starts, clock) - 1, 0)

@@ -104,8 +104,8 @@ class Section(ObjectPath):
             return None
         segments = numbers[3 + int(numbers[1]) :].reshape(-1, SEGMENT)
         low, high = min(self.begin, self.end), max(self.begin, self.end)
-        touched = [s for s in segments if s[18] < high and s[18] + s[19] > low]
-        made = [of_section(s, self.begin, self.sense) for s in touched][:: self.sense]
+        touched = segments[(segments[:, 18] < high) & (segments[:, 18] + segments[:, 19] > low)]
+        made = of_section(touched, self.begin, self.sense)
         rest = self.pose(self.duration)
         still = LinePath(rest, rest, duration=1.0).segment(self.duration)
         return np.concatenate([[self.duration, len(self._breaks), len(made) + 1], self._breaks, *made, still])

@@ -10,8 +10,9 @@ import pinocchio as pin
 
 from coopqp.checks import as_scalar
 from coopqp.errors import InvalidInputError
-from coopqp.native.constants import TURN_LENGTH
+from coopqp.native.constants import SHIFT, TURN_LENGTH
 from coopqp.paths.path import ObjectPath
+from coopqp.paths.section import Section
 from coopqp.paths.time_law import TimeLaw
 from coopqp.spatial import Array, Placement, as_placement
 
@@ -70,6 +71,23 @@ class ShiftedPath(ObjectPath):
         if slope:
             twist = twist + slope * np.asarray(self.path.pose(clock).actInv(pin.Motion(self._log)).vector)
         return twist
+
+
+def unshifted(path: ObjectPath) -> tuple[ObjectPath, Array]:
+    """A path without its shifts, and their numbers in their order (n, 8), for the compiled core.
+
+    Of a shift: the clocks at which it begins to come in and is in wholly, which fall on a way back [s], and its
+    logarithm in the world.
+    """
+    if type(path) is ShiftedPath:
+        base, rows = unshifted(path.path)
+        return base, np.vstack([rows, np.concatenate([[path.begin, path.end], path._log])])
+    if type(path) is Section:
+        base, rows = unshifted(path.path)
+        if len(rows):
+            rows[:, :2] = path.sense * (rows[:, :2] - path.begin)
+            return Section(base, path.begin, path.end, elbows=path.elbows), rows
+    return path, np.zeros((0, SHIFT))
 
 
 def clock_after(path: ObjectPath, clock: float, length: float) -> float:

@@ -187,6 +187,10 @@ class TimedPath(ObjectPath):
 
         None where a piece is no straight one, which only Python knows.
         """
+        return self._numbers
+
+    @cached_property
+    def _numbers(self) -> Array | None:
         if not all(isinstance(piece, Straight) for piece in self._geometry.pieces):
             return None
         segments: list[Array] = []
@@ -203,7 +207,7 @@ class TimedPath(ObjectPath):
                     share = gone / piece.length
                     whole = [R[i].ravel(), p[i], share * piece.turn, share * piece.way]
                     segments.append(np.concatenate([*whole, law, np.zeros(7)]))
-        return np.concatenate([[self.duration, 0.0, len(segments)], *segments])
+        return read_only(np.concatenate([[self.duration, 0.0, len(segments)], *segments]))
 
     def _speed_at(self, middle: float, clock: float, span: float) -> float:
         """ṡ [m/s] half a span [s] before a clock; s is ``middle`` between the two knots that hold both."""

@@ -5,12 +5,13 @@ from __future__ import annotations
 from bisect import bisect_right
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from typing import Any, final
 
 import numpy as np
 import pinocchio as pin
 
-from coopqp.checks import ArrayLike, as_scalar, require
+from coopqp.checks import ArrayLike, as_scalar, read_only, require
 from coopqp.errors import InvalidInputError, UnknownNameError
 from coopqp.model.cell import RobotCell
 from coopqp.model.grasp import Grasp
@@ -334,8 +335,10 @@ class Program(SegmentedPath):
 
     def packed(self) -> Array | None:
         """The segments of all phases, where all paths are the library's own."""
-        if not self.of_segments:
-            return None
+        return self._numbers if self.of_segments else None
+
+    @cached_property
+    def _numbers(self) -> Array:
         rows = []
         for path, start in zip(self._paths, self._starts, strict=True):
             numbers = path.packed()
@@ -345,7 +348,7 @@ class Program(SegmentedPath):
                     made = row.copy()
                     made[18] += start
                     rows.append(made)
-        return np.concatenate([[self.duration, len(self._breaks), len(rows)], self._breaks, *rows])
+        return read_only(np.concatenate([[self.duration, len(self._breaks), len(rows)], self._breaks, *rows]))
 
     # -- phases ----------------------------------------------------------------------------------------------------
 

@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from scipy.interpolate import PchipInterpolator
 
 from coopqp import InvalidInputError
 from coopqp.paths.elbows import Elbows
@@ -102,3 +103,11 @@ def test_a_record_of_no_motion_is_refused(change: dict[str, Any], says: str) -> 
     if "positions" not in says:
         with pytest.raises(InvalidInputError, match=says):
             Elbows.through((RECORD | change)["clocks"], (RECORD | change)["x"])
+
+
+def test_slopes_are_those_of_scipy(rng: np.random.Generator) -> None:
+    for _ in range(50):
+        k = int(rng.integers(2, 12))
+        clocks, x = np.cumsum(rng.uniform(0.01, 1.0, k)), rng.integers(-1, 2, (k, 5)) * rng.uniform(size=(k, 5))
+        expected = PchipInterpolator(clocks, x).derivative()(clocks)
+        np.testing.assert_allclose(Elbows.through(clocks, x).slopes, expected, rtol=1e-12, atol=1e-12)

@@ -12,7 +12,7 @@ from hypothesis import given, strategies as st
 
 from coopqp import HoldPath, InvalidInputError, LinePath, ObjectPath, TimedPath, WaypointPath
 from coopqp.paths import PathGeometry, Section, ShiftedPath, SpeedProfile, TimeLaw
-from coopqp.paths.shifted import clock_after
+from coopqp.paths.shifted import clock_after, unshifted
 from coopqp.spatial import Array
 
 vectors = st.tuples(*[st.floats(-1.0, 1.0)] * 3).map(np.array)
@@ -145,3 +145,20 @@ def test_a_plan_is_at_its_grid_points_and_between_them_at_their_clocks(path: Tim
     (found,) = path.clocks(np.array([s]))
     assert abs(path.at(float(found))[0] - s) <= 1e-12
     assert abs(found - clock) <= 1e-5 * path.duration  # near its ends the object hardly moves
+
+
+def test_a_shifted_path_without_its_shifts_is_the_same_with_them(rng: np.random.Generator) -> None:
+    """Also back, and along a part in which a shift comes in: what the core is given."""
+    path: ObjectPath = LinePath.displaced(
+        pin.SE3.Identity(), translation=(0.1, 0.2, 0.3), rotation=(0.2, 0.4, 0.3), duration=2.0
+    )
+    for begin, end in ((0.3, 0.8), (0.6, 1.9), (1.0, 1.2)):
+        path = ShiftedPath(path, pin.exp6(0.1 * rng.normal(size=6)), begin=begin, end=end)
+    for part in (path, Section(path, 0.5, 1.5), Section(path, 1.5, 0.25)):
+        base, shifts = unshifted(part)
+        assert len(shifts) == 3
+        for clock in np.linspace(0.0, part.duration, 41):
+            T = base.pose(clock)
+            for begin, end, *log in shifts:
+                T = pin.exp6(TimeLaw.QUINTIC.value_at((clock - begin) / (end - begin)) * np.array(log)) * T
+            np.testing.assert_allclose(T.homogeneous, part.pose(clock).homogeneous, atol=1e-12)

@@ -42,6 +42,7 @@ from coopqp.paths.grasp_motion import GraspMotion
 from coopqp.paths.guarded import GuardedPath, is_known
 from coopqp.paths.path import ObjectPath
 from coopqp.paths.servo import ServoPath
+from coopqp.paths.shifted import unshifted
 from coopqp.spatial import Array
 
 _NOT_FINITE, _PATH_FAILED, _LOOK_AHEAD_FAILED, _CONSTRAINT_FAILED = (
@@ -52,6 +53,7 @@ _GIVEN = (
     "pose", "positions", "velocity", "before", "predicted", "foreseen", "asked_shift", "along", "own_along", "measured",
     "null_along", "null_offset",
 )  # fmt: skip
+_NO_SHIFTS = np.zeros(0)
 _QP, _FILLED, _OPEN, _ASK = (layout.OUTCOMES.index(name) for name in ("QP", "FILLED", "OPEN", "ASK"))
 
 
@@ -168,14 +170,15 @@ class CompiledLoop:
         """Hand the path's numbers to the core: again where a target has moved."""
         path, duration = self._guarded, self._guarded.duration
         looks_ahead = self._looks_ahead = self.options.preview is not None and path.known_ahead
-        numbers, own = self.path.packed() if is_known(self.path) else None, None
+        base, shifts = unshifted(self.path) if is_known(self.path) else (self.path, _NO_SHIFTS)
+        numbers, own = base.packed() if is_known(base) else None, None
         if numbers is None:
-            breakpoints, own = path.breakpoints(), self._ask_path
+            breakpoints, own, shifts = path.breakpoints(), self._ask_path, _NO_SHIFTS
             numbers = np.array([duration, len(breakpoints), 0.0, *breakpoints])
         if path.elbows is not None:
             numbers = np.concatenate([numbers, path.elbows.packed()])
         self._core.bind(own_path=own)
-        self._core.set_path(numbers, duration, looks_ahead, not is_known(self.path))
+        self._core.set_path(numbers, duration, looks_ahead, not is_known(self.path), shifts.ravel())
 
     def _take_motion(self) -> None:
         """Hand the core how the tools move on the object along the path, and who holds it when."""

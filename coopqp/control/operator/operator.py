@@ -41,12 +41,14 @@ _GATE_WAY = 1e-3
 #: The same jog command takes no new way while its old one is straight for so long [s]; twists are the same that differ
 #: by less than this share.
 _JOGS_ON, _SAME_TWIST = 0.5, 1e-9
+#: Steps from one attempt to make a change along the program to the next, at most, while the object moves.
+_WIDEST_GAP = 8
 #: Steps between two looks at most.
 _MOST_BETWEEN = 1000
 #: Attributes that calls and steps change, beside the trail.
 _VARYING = (
     "way", "wanted", "then", "_override", "paused", "age", "holds_for", "returns", "gear", "clutch", "_left", "_brakes",
-    "looks_in", "opened", "jogged", "_late", "_run_time", "_goes_on",
+    "looks_in", "opened", "jogged", "_late", "_run_time", "_goes_on", "_tries_in", "_gap",
 )  # fmt: skip
 _STOPPED = (Status.HOLDING, Status.FAULT)
 
@@ -99,6 +101,8 @@ class Operator:
         self._brakes = False
         self.jogged: Array | None = None
         self._late = False
+        #: Steps until the next attempt to make a change that waits, and from one to the next.
+        self._tries_in = self._gap = 1
         self.looks_in = 1
         self._longest_dt = dt * options.supervision.dt_range[1]
         redundant = Chain(cell, grasp).redundancy > 0
@@ -284,7 +288,7 @@ class Operator:
                 self.then, self.wanted, self.age = change, None, math.inf
                 self._let_go()
                 return
-        self.wanted, self._late = change, False
+        self.wanted, self._late, self._tries_in, self._gap = change, False, 1, 1
         if waits:  # the next step makes an attempt from where the last one has failed
             self.rein()
         else:
@@ -489,8 +493,18 @@ class Operator:
         waits = self.waits_for is not None or self._goes_on
         if way.sense != 0 and not way.whole and loop.clock >= way.path.duration and self.wanted is None and not waits:
             self.rest_at(self.clock)
-        if self.wanted is not None:
+        if self.wanted is not None and self._tries_now():
             self.attempt()
+
+    def _tries_now(self) -> bool:
+        """Whether a change that waits is attempted in this step: each look at another path costs more than a step."""
+        if self.wanted is None or self.wanted.by_hand or isinstance(self.wanted, Target):
+            return True
+        self._tries_in -= 1
+        if self._tries_in > 0 and not self.rests:
+            return False
+        self._gap = self._tries_in = min(2 * self._gap, _WIDEST_GAP)
+        return True
 
     def _back_on_path(self) -> bool:
         """Go on along the program where the object is back on it."""
