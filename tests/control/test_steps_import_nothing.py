@@ -28,8 +28,8 @@ calls = [
     lambda c: c.forward(), lambda c: c.run_to(0.3), lambda c: c.step_to_mark(), lambda c: c.pause(),
     lambda c: c.resume(), lambda c: c.gear(0.1), lambda c: c.jog([0.05, 0.0, 0.0, 0.0, 0.0, 0.1], deadman_s=0.2),
     lambda c: c.return_to_path(), lambda c: c.engage(shift), lambda c: c.target(shift * shift), lambda c: c.release(),
-    lambda c: c.return_to_path(), lambda c: c.follow(c.path, clock=getattr(c, "program_clock", 0.0)), lambda c: c.retarget(shift),
-    lambda c: c.signal("closed"),
+    lambda c: c.return_to_path(), lambda c: c.follow(c.path, clock=getattr(c, "program_clock", 0.0)),
+    lambda c: c.retarget(shift), lambda c: c.signal("closed"),
 ]
 
 def run(task, path, *, kernel="auto", bodies=False, forces=False):
