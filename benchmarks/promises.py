@@ -18,6 +18,7 @@ from common import Record
 from promise_cases import (
     bodies,
     braking,
+    calls,
     certified,
     chain,
     clock,
@@ -54,6 +55,7 @@ GROUPS: dict[str, tuple[Callable[[bool], Iterator[promise_cases.Promise]], ...]]
         certified.promises,
         description_files.promises,
         too_quick.promises,
+        calls.promises,
     ),
 }
 

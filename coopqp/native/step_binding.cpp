@@ -35,7 +35,7 @@ struct BoundCore : Core {
     nb::capsule owner;           /* of the memory: no array holds the core, which would be a cycle that nobody sees */
     InOrNone grasp_array;        /* numbers of the tools' motion on the object */
     In path_array;               /* numbers of the path; or of the way to a new target: */
-    In shift_array;
+    InOrNone shift_array;        /* numbers of the path's shifts */
     Out way_array, minding_array; /* relaxation of forces, also the core's */
     nb::object minding_given;    /* the object of `minding_array` */
     nb::object objects[OBJECTS];
@@ -286,18 +286,23 @@ static void bind(BoundCore &self, const nb::kwargs &given) {
     });
 }
 
-/* set_path(numbers, duration, looks_ahead, users, shifts): own_path is bound before where the numbers say little. */
-static void set_path(BoundCore &self, In &numbers, double duration, bool looks_ahead, bool users, In &shifts) {
+/* set_path(numbers, duration, looks_ahead, users): own_path is bound before where the numbers say little. */
+static void set_path(BoundCore &self, In &numbers, double duration, bool looks_ahead, bool users) {
     const double *found = numbers.data;
     check_fit(numbers.size >= 3 && found[1] >= 0 && found[1] < 1e6 && found[2] >= (self.own_path ? 0 : 1) &&
                   found[2] < 1e6 && numbers.size >= 3 + (Py_ssize_t)found[1] + SEGMENT * (Py_ssize_t)found[2] +
                                       (Py_ssize_t)self.options->elbows * (1 + 2 * self.joints),
               "the numbers are no path");
-    check_fit(shifts.size % SHIFT == 0, "the numbers are no shifts");
-    self.path_array = std::move(numbers), self.shift_array = std::move(shifts);
+    self.path_array = std::move(numbers);
     self.path_numbers = found;
-    self.shifts = self.shift_array.data, self.shift_count = (int)(self.shift_array.size / SHIFT);
     self.duration = duration, self.looks_ahead = looks_ahead, self.users_path = users;
+}
+
+/* set_shifts(numbers or None): the shifts of the path, see paths.cpp. */
+static void set_shifts(BoundCore &self, InOrNone &numbers) {
+    check_fit(!numbers.data || numbers.size % SHIFT == 0, "the numbers are no shifts");
+    self.shift_array = std::move(numbers);
+    self.shifts = self.shift_array.data, self.shift_count = self.shifts ? (int)(self.shift_array.size / SHIFT) : 0;
 }
 
 /* Whether ways of joints, see ways.cpp, fill the numbers from a place to their end. */
@@ -580,6 +585,7 @@ void bind_step(nb::module_ &m) {
         .def("start", start)
         .def("start_path", start_path)
         .def("set_path", set_path)
+        .def("set_shifts", set_shifts, nb::arg().none())
         .def("set_grasps", set_grasps, nb::arg().none())
         .def("go_over", go_over)
         .def("linearise", linearise)

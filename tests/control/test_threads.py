@@ -13,7 +13,7 @@ import pinocchio as pin
 import pytest
 from marks import slow_but_first
 
-from coopqp import CoopqpError, ForceController, LinePath, ObjectPath, QPController, ServoPath
+from coopqp import CoopqpError, ForceController, InvalidInputError, LinePath, ObjectPath, QPController, ServoPath
 from coopqp.baselines import IndependentQPController, PseudoInverseController
 from coopqp.errors import BusyError
 from coopqp.native import available_kernels
@@ -219,6 +219,31 @@ def test_what_cannot_be_done_where_a_call_takes_effect_is_an_event(
     events = made.take_events()
     assert [name for name, _, _ in events] == ["follow", "refused"]
     assert events[1][1].startswith(f"{said.strip()}: InvalidInputError: ")
+
+
+def test_a_program_is_not_shifted_without_end(paper: Scenario) -> None:
+    """Shifts at one place are one; of those along the way there are so many, then they are refused by name."""
+    cell = paper.cell.with_limits(acceleration=5.0)
+    path = LinePath.displaced(paper.path.pose(0.0), translation=(0.0, 0.0, 0.05), duration=20.0)
+    made = QPController(cell, paper.grasp, path, dt=0.0075)
+    made.reset(paper.q_start)
+    step = pin.SE3(np.eye(3), np.array([1e-5, 0.0, 0.0]))
+    made.pause()
+    for _ in range(300):
+        made.shift_path(step)
+    away = made.path.pose(20.0).translation - path.pose(20.0).translation
+    np.testing.assert_allclose(away, [3e-3, 0.0, 0.0], atol=1e-9)
+    made.resume()
+
+    def on_and_on() -> None:
+        for _ in range(300):
+            made.step()
+            made.step()
+            made.shift_path(step)
+
+    with pytest.raises(InvalidInputError, match="shifted 50 times"):
+        on_and_on()
+    assert made.step().explain()
 
 
 def test_a_target_for_a_path_that_is_no_servo_path_any_more_is_an_event(paper: Scenario) -> None:

@@ -409,8 +409,7 @@ def test_a_core_is_built_once_and_before_it_is_used(paper: Scenario) -> None:
         lambda: raw.step(None, None), lambda: raw.observe(None, None), lambda: raw.propose(0, False), raw.commit,
         lambda: raw.advance(1, None), lambda: raw.start(np.zeros(18)),
         lambda: raw.start_path(0.0, 1.0), lambda: raw.read(1.0), lambda: raw.bind(tell=None), raw.hold,
-        lambda: raw.set_path(np.zeros(3), 1.0, False, False, np.zeros(0)), raw.fields,
-        lambda: raw.linearise(*[np.zeros(3)] * 4),
+        lambda: raw.set_path(np.zeros(3), 1.0, False, False), raw.fields, lambda: raw.linearise(*[np.zeros(3)] * 4),
     ):  # fmt: skip
         with pytest.raises(TypeError):
             call()
@@ -539,10 +538,10 @@ def test_paths_that_are_no_numbers_are_refused(paper: Scenario) -> None:
         None, "path",
     ):  # fmt: skip
         with pytest.raises((ValueError, TypeError)):
-            core.set_path(bad, 1.0, False, False, np.zeros(0))
-    core.set_path(good, paper.path.duration, True, False, np.zeros(0))  # the path that was refused has changed nothing
+            core.set_path(bad, 1.0, False, False)
+    core.set_path(good, paper.path.duration, True, False)  # the path that was refused has changed nothing
     core.bind(own_path=lambda clock, twist: False)
-    core.set_path(np.array([1.0, 0.0, 0.0]), 1.0, False, True, np.zeros(0))
+    core.set_path(np.array([1.0, 0.0, 0.0]), 1.0, False, True)
     assert core.step(None, None) is None or core.step(None, None).status.name == "HOLDING"
 
 
@@ -593,7 +592,7 @@ def test_functions_that_raise_count_as_failed_and_interrupts_end_the_call(paper:
             raise error
 
         core.bind(own_path=own)
-        core.set_path(np.array([1.0, 0.0, 0.0]), 1.0, False, True, np.zeros(0))
+        core.set_path(np.array([1.0, 0.0, 0.0]), 1.0, False, True)
         if status is None:
             with pytest.raises(KeyboardInterrupt):
                 core.step(None, None)
@@ -605,7 +604,7 @@ def test_memory_lives_as_long_as_its_core_or_a_view(paper: Scenario) -> None:
     """The core keeps its memory: nothing else needs to. So does each view."""
     loop = loop_of(paper)
     core = core_with(built(loop), loop)
-    core.set_path(paper.path.packed(), paper.path.duration, False, False, np.zeros(0))
+    core.set_path(paper.path.packed(), paper.path.duration, False, False)
     core.start(paper.q_start)
     core.start_path(0.0, 1.0)
     view = core.fields()["positions"]

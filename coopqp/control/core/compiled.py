@@ -94,6 +94,7 @@ class CompiledLoop:
         self.at, self._core, self._loop, self._proposal = memory.at, memory.core, memory.loop, memory.proposal
         self._shift: Array | None = None
         self._motion: GraspMotion | None = None
+        self._shifted = False  # whether the core has shifts of the path
         self._minding: Any = None
         self._fixed = [pin.SE3.Identity()] * len(cell)
         numbers = memory.options
@@ -178,7 +179,10 @@ class CompiledLoop:
         if path.elbows is not None:
             numbers = np.concatenate([numbers, path.elbows.packed()])
         self._core.bind(own_path=own)
-        self._core.set_path(numbers, duration, looks_ahead, not is_known(self.path), shifts.ravel())
+        self._core.set_path(numbers, duration, looks_ahead, not is_known(self.path))
+        if len(shifts) or self._shifted:
+            self._core.set_shifts(shifts.ravel() if len(shifts) else None)
+        self._shifted = bool(len(shifts))
 
     def _take_motion(self) -> None:
         """Hand the core how the tools move on the object along the path, and who holds it when."""

@@ -86,7 +86,8 @@ class OperatorCalls(abc.ABC):
         what is left of it.
 
         Raises:
-            InvalidInputError: no placement, a length that is not positive, no reset, or the program is at its end.
+            InvalidInputError: no placement, a length that is not positive, no reset, or the program is at its end or
+                was shifted 50 times.
         """
         shift = as_placement(T_world_shift, "shift_path: T_world_shift")
         over = as_scalar(over, "shift_path: over")

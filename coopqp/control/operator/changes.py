@@ -26,6 +26,8 @@ from coopqp.spatial import Array
 JOG_AHEAD, LARGEST_TURN = 1.0, 3.0
 #: Speed and spin on the way back to the path [m/s, rad/s].
 RETURN_SPEED, RETURN_SPIN = 0.25, 0.5
+#: Shifts of a program at most: each makes its steps a little longer.
+MOST_SHIFTS = 50
 #: Speed and spin of a target that streams [m/s, rad/s].
 TARGET_SPEED, TARGET_SPIN = 0.4, 1.0
 
@@ -153,15 +155,24 @@ class Shift(Change):
             raise InvalidInputError("the path is a ServoPath", "shift_path", "Move its target: retarget.")
         if clock >= GuardedPath(program).duration:
             raise InvalidInputError("the object is at the end of its path", "shift_path", "Shift it before.")
+        shifts = 0
+        while isinstance(program, ShiftedPath):
+            program, shifts = program.path, shifts + 1
+        if shifts >= MOST_SHIFTS:
+            what = f"the program has been shifted {shifts} times on its way"
+            raise InvalidInputError(what, "shift_path", "Follow a path that is where the object is: follow.")
 
     def attempt(self, operator: Any) -> bool:
         """See :class:`Change`."""
         way, clock = operator.way, operator.clock
-        program = way.program
+        program, shift = way.program, self.shift
         end = clock_after(program, clock, self.over)
         if not end > clock:  # nothing is ahead
             return True
-        shifted = ShiftedPath(program, self.shift, begin=clock, end=end)
+        while isinstance(program, ShiftedPath) and program.begin >= clock:  # of that one nothing lies behind
+            shift = shift * program.shift
+            program = program.path
+        shifted = ShiftedPath(program, shift, begin=clock, end=end)
         if way.sense < 0:  # what lies behind stays
             section = way.path
             assert isinstance(section, Section)
