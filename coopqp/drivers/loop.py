@@ -449,7 +449,7 @@ class ControlLoop(LoopCalls):
             return False
         added = bool(np.abs(motion.play_out.addition.short).max() < _ARRIVED)
         if math.isnan(self._arrived) and added:
-            rest = motion.way.value(self._finish) - motion.way.value(motion.play_out.parameter)
+            rest = motion.way.value(motion.way.head) - motion.way.value(motion.play_out.parameter)
             if np.abs(rest).max() < _ARRIVED:
                 self._arrived = self._now
         if motion.play_out.parameter >= self._finish and motion.speed() < _SLOW_END and added:

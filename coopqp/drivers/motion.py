@@ -86,7 +86,7 @@ class SharedMotion:
         self.target_lag = np.zeros(n)
         self.play_out = PlayOut(
             x, lag=self.joints(self.lag), delay=self.joints(delay), period=period, lower=cell.limits.lower,
-            upper=cell.limits.upper, **limits,
+            upper=cell.limits.upper, shared=np.isin(np.arange(cell.nv), cell.shared), **limits,
         )  # fmt: skip
         self.law = FollowSlowest(n, period=period)
         self._lead = lead

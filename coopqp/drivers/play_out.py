@@ -13,7 +13,7 @@ from typing import final
 import numpy as np
 
 from coopqp.drivers.command_spline import CommandSpline
-from coopqp.spatial import Array
+from coopqp.spatial import Array, Flags
 
 #: Smallest time constant of the low pass [s].
 LEAST_TIME_CONSTANT = 1e-4
@@ -33,14 +33,16 @@ _REST = 1e-3
 class Addition:
     """A vector that follows a target within what the mixture leaves of the limits.
 
-    All joints are cut by the same factor: one of them alone, cut to its own limits, would part the tools. Where the
-    target is out of reach, as after each jump of a quick motion's acceleration, the addition fades to 0: a correction
-    that comes late is worse than none. One for lags that the mixture does not know never fades.
+    All joints are cut by the same factor: one of them alone, cut to its own limits, would part the tools. Joints that
+    several arms share have one of their own: they move the tools together. Where the target is out of reach, as after
+    each jump of a quick motion's acceleration, and the value leads further away from it than none would, the addition
+    fades to 0. One for lags that the mixture does not know never fades.
 
     Args:
         velocity, acceleration: limits of a period (n,): v h and a h² [rad or m].
         period: h [s].
         lower, upper: limits of the positions (n,) [rad or m]; outside them a joint moves inwards only.
+        shared: which joints several arms share (n,).
 
     Attributes:
         value: A (n,) [rad or m].
@@ -48,9 +50,17 @@ class Addition:
     """
 
     def __init__(
-        self, velocity: Array, acceleration: Array, period: float, *, lower: float | Array, upper: float | Array
+        self,
+        velocity: Array,
+        acceleration: Array,
+        period: float,
+        *,
+        lower: float | Array,
+        upper: float | Array,
+        shared: Flags | None,
     ) -> None:
         self._most, self._most_change, self._h = velocity, acceleration, period
+        self._shared = np.zeros(len(velocity), dtype=bool) if shared is None else shared
         self._lower, self._upper = np.maximum(lower, -_FAR), np.minimum(upper, _FAR)
         self.cut = 0
         self.rest(np.zeros(len(velocity)))
@@ -81,7 +91,7 @@ class Addition:
         most, most_change = share * self._most, share * self._most_change
         if not fades:
             self._taken = 1.0
-        elif (np.abs(self._taken * target - self.value) * self._h**2 > _REACH**2 * most_change).any():
+        elif self._misleads(target, most_change):
             self._taken = 0.0
         else:
             self._taken = min(self._taken + self._h / _UPTAKE, 1.0)
@@ -95,17 +105,31 @@ class Addition:
         own, place = share * mixture_step, share * (mixture - mixture_step) + self.value
         high = np.minimum(most, _largest_step(share * self._upper - place, most_change)) - own
         low = -np.minimum(most, _largest_step(place - share * self._lower, most_change)) - own
-        wanted = wanted * _factor(wanted, low, high)
+        wanted = wanted * self._factors(wanted, low, high)
         turn = own - share * self._mixture_step
         self._mixture_step = mixture_step
         more, less = most_change - turn, -most_change - turn
         change = wanted - self._step
-        factor = _factor(change, less, more)
-        self.cut += int(factor < 1.0)
+        factor = self._factors(change, less, more)
+        self.cut += int((factor < 1.0).any())
         change = np.clip(np.clip(factor * change, low - self._step, high - self._step), less, more)
         self._step = self._step + change
         self.value = self.value + self._step
         return self.value
+
+    def _factors(self, vector: Array, low: Array, high: Array) -> Array:
+        """Of each joint (n,) the largest factor, at most 1, with which all of its kind keep bounds with 0 inside."""
+        bound = np.where(vector > 0.0, high, low)
+        factors, over = np.ones(len(vector)), np.abs(vector) > np.abs(bound)
+        for kind in (self._shared, ~self._shared):
+            if (cut := over & kind).any():
+                factors[kind] = max(float((bound[cut] / vector[cut]).min()), 0.0)
+        return factors
+
+    def _misleads(self, target: Array, most_change: Array) -> bool:
+        """Whether the target is out of reach, and the value leads further away from it than none would."""
+        away, whole = (float((np.abs(x) / most_change).max()) for x in (target - self.value, target))
+        return away * self._h**2 > _REACH**2 and away > whole
 
 
 def _largest_step(room: Array, change: Array) -> Array:
@@ -113,13 +137,6 @@ def _largest_step(room: Array, change: Array) -> Array:
     left = np.maximum(room - 0.125 * change, 0.0)
     value: Array = 0.5 * (np.sqrt(change * change + 8.0 * change * left) - change)
     return value
-
-
-def _factor(vector: Array, low: Array, high: Array) -> float:
-    """The largest factor, 1 at most, with which a vector (n,) is between bounds (n,) that have 0 between them."""
-    bound = np.where(vector > 0.0, high, low)
-    over = np.abs(vector) > np.abs(bound)
-    return max(float((bound[over] / vector[over]).min()), 0.0) if over.any() else 1.0
 
 
 @final
@@ -132,6 +149,7 @@ class PlayOut:
         velocity, acceleration: limits (n,).
         period: h [s].
         lower, upper: limits of the positions (n,) [rad or m]; outside them a joint moves inwards only.
+        shared: which joints several arms share (n,); none by default.
 
     Attributes:
         time_constant: M [s].
@@ -151,10 +169,11 @@ class PlayOut:
         period: float,
         lower: float | Array = -np.inf,
         upper: float | Array = np.inf,
+        shared: Flags | None = None,
     ) -> None:
         self._h = period
         self._most_change = acceleration * period**2
-        self.addition = Addition(velocity * period, self._most_change, period, lower=lower, upper=upper)
+        self.addition = Addition(velocity * period, self._most_change, period, lower=lower, upper=upper, shared=shared)
         self._low, self.parameter, self.rate = x.copy(), 0.0, 0.0
         self._c = self._last = self._mixture = x.copy()
         wait = float(delay.max(initial=0.0)) - delay

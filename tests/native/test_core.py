@@ -156,7 +156,7 @@ def test_it_follows_paths_as_they_say(arithmetic: str, paper: Scenario, rng: np.
             core.observe(None, None)
             core.propose(0, False)
             pose, span = path.pose(clock), proposal(loop, "SPAN")
-            assert span == pytest.approx(0.01)
+            assert 0.0 < span <= 0.01 + 1e-12  # less where the joints are slower than the path
             np.testing.assert_allclose(loop.at["pose"][:9].reshape(3, 3), pose.rotation, rtol=0.0, atol=1e-14)
             np.testing.assert_allclose(loop.at["pose"][9:], pose.translation, rtol=0.0, atol=1e-14)
             np.testing.assert_allclose(loop.at["along"], path.increment(clock, span), rtol=0.0, atol=1e-11)
