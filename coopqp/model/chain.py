@@ -57,7 +57,7 @@ class Chain:
         self.shift_grasp(np.zeros((self.n_arms, 6)))
         self.moving_columns, self.parts, self.part_columns = moving_columns(cell), parts(cell), part_columns(cell)
         self.scale = _joint_units(cell)
-        self.redundancy = sum(self._further)
+        self.redundancy = sum(self.further)
         self.apart: tuple[int, ...] = ()
         self.jacobians: list[Array] = []
         self.inverses: list[Array] = []
@@ -68,7 +68,7 @@ class Chain:
         return [i for i, part in enumerate(self.parts) if part[0] in self.apart]
 
     @property
-    def _further(self) -> list[int]:
+    def further(self) -> list[int]:
         """Joints of each part that its tools do not need."""
         return [max(len(c) - 6 * len(part), 0) for part, c in zip(self.parts, self.part_columns, strict=True)]
 
@@ -234,14 +234,14 @@ class Chain:
         """The part of joint velocities ``v`` (nv,) that does not move the object: ``v − A⁺ A v``."""
         out = np.zeros(self.nv)
         for i, (inverse, columns) in enumerate(zip(self.inverses, self.part_columns, strict=True)):
-            if self._further[i] or self.parts[i][0] in self.apart:
+            if self.further[i] or self.parts[i][0] in self.apart:
                 out[columns] = v[columns] - inverse @ (self.part_jacobian(i) @ v[columns])
         return out
 
     def null_basis(self) -> Array:
         """Basis of the motions that leave the object at rest, (nv, redundancy), orthonormal in the joints' units."""
         basis, c = np.zeros((self.nv, self.redundancy)), 0
-        for i, (extra, columns) in enumerate(zip(self._further, self.part_columns, strict=True)):
+        for i, (extra, columns) in enumerate(zip(self.further, self.part_columns, strict=True)):
             if extra:
                 J, unit = self.part_jacobian(i), self.scale[columns]
                 if self.parts[i][0] in self.apart:  # its motion is given

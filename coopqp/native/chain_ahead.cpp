@@ -340,13 +340,18 @@ static Trial constrain(Core *c, int made) {
     return REJECTED;
 }
 
-/* Whether q″ has changed by a small share of the accelerations between the intervals before two knots. */
+/* Whether q″ has changed by a small share of the accelerations between the intervals before two knots; of fine ones, where
+ * the object creeps. */
 static int bends_slowly(const Core *c, int last, int made) {
     const Knot *k = knot(c, last);
-    if (k->span == 0.0 || k->corner != 0.0) return 1;
+    const double span = knot(c, made)->span, cap = knot(c, made)->cap;
+    const double least = maximum(FINE_CELL * sqrt(cap), 2.0 * c->options->shortest);
+    const int fine = span <= FINE_CELL;
+    if (k->span == 0.0 || k->corner != 0.0 || (fine && !(span > least))) return 1;
     const double *bend = vector_of(c, c->knot_curvature, made), *before = vector_of(c, c->knot_curvature, last);
     double change = 0.0;
     for (int j = 0; j < c->joints; j++) change = maximum(change, fabs(bend[j] - before[j]) / c->plan_acceleration[j]);
+    if (fine) return change * cap <= FINE_BEND;
     return change <= BEND_CHANGE || change * largest_alone(c, made) <= BEND_CHANGE;
 }
 
@@ -367,7 +372,7 @@ static Trial try_knot(Core *c, int last, int made, double span, int iteration) {
     if (span > o->shortest && !(span * k->fastest <= 1.5 * o->joint_step)) return REJECTED;
     const double most = span > FINE_CELL ? o->slope_step : OTHER_BRANCH;
     if (span > o->shortest && !(k->change <= most * k->fastest)) return REJECTED;
-    if (span > FINE_CELL && !bends_slowly(c, last, made)) return REJECTED;
+    if (!bends_slowly(c, last, made)) return REJECTED;
     find_edges(c, made);
     if (ends_reach(c, last, made)) return REJECTED;
     return constrain(c, made);

@@ -12,6 +12,7 @@
  *   ldp.cpp          least-distance programs                 watch.cpp        supervision, drift, forces
  *   apart.cpp        arms that their commands part           groups.cpp       arms that share joints, as one arm
  *   braking.cpp      rows that brake all arms together where nothing is known ahead
+ *   self_motion.cpp  what self-motion costs where limits bind
  *   preview.cpp      the path ahead of the clock, with       step.cpp         observe, propose, commit
  *     horizon.cpp      knots, the largest rate at each         growth.cpp       more of them, one Newton step at a time
  *     sharing.cpp      programs of the accelerations           chain_ahead.cpp  the chain at one clock

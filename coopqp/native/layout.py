@@ -145,8 +145,8 @@ WORK = _fields(
     "own_along 6 * n; own_world 6 * n; own_way n; ahead_own_way n; "
     "foresees 6 * n; made 6 * n; best_offsets 6 * n; best_foresees 6 * n; best_guess nv; null_along nv; "
     "null_offset nv; command nv; stand_in nv; guess nv; first_guess nv; along_velocity nv; off_path 6; lower nv; "
-    "upper nv; recovery nv; outside nv; further nv * rows; further_lower rows; further_upper rows; further_soft rows; "
-    "further_owner rows; base nv + rows; columns (nv + rows) * unknowns; x unknowns + nv + rows; "
+    "upper nv; recovery nv; outside nv; pull nv; further nv * rows; further_lower rows; further_upper rows; "
+    "further_soft rows; further_owner rows; base nv + rows; columns (nv + rows) * unknowns; x unknowns + nv + rows; "
     "bindings 4 * (nv + rows); record Record + 2 * nq + nv + 6 + 4 * (nv + rows); sketch 24 * n + 9 * nv; "
     "least_pivot n; lines 3 * (4 * nv + 4); evading_positions nv; evading_slope nv; scratch scratch"
 )

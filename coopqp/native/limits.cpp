@@ -185,6 +185,10 @@ static double brake_share(const Core *c, double h, int *joint) {
     return fmax(0.0, 1.0 - h / fmin(fmax(2.0 * (left - h), longest), planned));
 }
 
+static bool stops_at_once(const Core *c, double h) {
+    return (c->velocity.array().abs() <= h * c->acceleration.array()).all();
+}
+
 static bool any_outside(const Core *c) {
     return (c->positions.array() > c->high.array()).any() || (c->positions.array() < c->low.array()).any();
 }

@@ -117,13 +117,18 @@ static bool condense(Core *c, double cap) {
     return isfinite(base.squaredNorm() + columns.squaredNorm());
 }
 
+/* What put_row() divides a row by. */
+static double row_length(const Core *c, int from, double unit) {
+    const double square = columns_of(c).row(from).squaredNorm() + unit * unit;
+    return square < 1e-24 ? 1.0 : sqrt(square);
+}
+
 /* One row of the least-distance problem, scaled to unit norm: lower ≤ base + columns x − unit t ≤ upper, t unknown `slack`
  * (none for −1). */
 static void put_row(const Core *c, int from, int width, int slack, double unit, double lower, double upper, double *row,
                     double *low, double *high) {
     const auto columns = columns_of(c).row(from);
-    const double square = columns.squaredNorm() + (slack >= 0 ? unit * unit : 0.0);
-    const double per = square < 1e-24 ? 1.0 : 1.0 / sqrt(square);
+    const double per = 1.0 / row_length(c, from, slack >= 0 ? unit : 0.0);
     Eigen::Map<Eigen::RowVectorXd> out(row, width);
     out << per * columns, Eigen::RowVectorXd::Zero(width - c->unknowns);
     if (slack >= 0) row[slack] = -unit * per;
@@ -131,8 +136,8 @@ static void put_row(const Core *c, int from, int width, int slack, double unit, 
     *high = (upper - c->base[from]) * per;
 }
 
-/* Solve the condensed QP by the core's own method. With `relax`, soft further rows may give way. Fills x and returns the
- * iterations, or a negative number. */
+/* Solve the condensed QP by the core's own method. With `relax`, soft further rows may give way. Fills x and `pull`, and
+ * returns the iterations, or a negative number. */
 static int solve_condensed(Core *c, double cap, int relax) {
     const int rows = c->joints + c->further_rows;
     int outside = 0, n = c->unknowns, m = 0, soft = 0;
@@ -157,7 +162,11 @@ static int solve_condensed(Core *c, double cap, int relax) {
         put_row(c, c->joints + r, n, gives_way ? slack++ : -1, c->options->relax_unit * c->further_soft[r],
                 c->further_lower[r], c->further_upper[r], A + n * m, low + m, high + m);
     }
-    return least_distance(n, m, A, low, high, lb, ub, LARGEST_X, c->x, y, y + m + n);
+    const int iterations = least_distance(n, m, A, low, high, lb, ub, LARGEST_X, c->x, y, y + m + n);
+    for (int j = 0; j < c->joints; j++) c->pull[j] = y[outside + j] / row_length(c, j, 0.0);
+    for (int j = 0, i = 0; j < c->joints; j++)
+        if (c->outside[j] != 0.0) c->pull[j] += y[i++] / row_length(c, j, c->options->recovery_unit);
+    return iterations;
 }
 
 /* The step that a solution stands for: command, rate, shares and off-path twist, and the limits at which it stands.

@@ -215,7 +215,8 @@ static void find_cap(Core *c) {
         if (c->looks_ahead) preview_reset(c, c->loop->clock, 1); /* the known horizon is void after the path has failed */
     }
     if (c->looks_ahead) p->cap = preview_cap(c, c->loop->clock, h, most_rate(c, h));
-    if (accelerates(c) && (!c->looks_ahead || c->loop->correcting != 0.0)) {
+    /* A correction that can end within a step need not brake ahead: it would stop and start in turn beside a limit. */
+    if (accelerates(c) && (!c->looks_ahead || (c->loop->correcting != 0.0 && !stops_at_once(c, h)))) {
         int joint = -1;
         p->keep = brake_share(c, h, &joint);
         p->late = p->keep < 1.0;
@@ -311,6 +312,7 @@ static Outcome settle_qp(Core *c, double cap) {
     int iterations = solve_condensed(c, cap, 0);
     p->relaxed = 0.0;
     if (iterations < 0 && soft) iterations = solve_condensed(c, cap, 1), p->relaxed = 1.0;
+    if (iterations >= 0 && c->redundant && shrink_units(c, p->dt)) iterations = solve_condensed(c, cap, p->relaxed != 0.0);
     p->iterations = iterations;
     return iterations >= 0 && read_answer(c, cap) ? QP : OPEN;
 }

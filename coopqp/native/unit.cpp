@@ -33,6 +33,7 @@ namespace BUILD {
 #include "growth.cpp"
 #include "preview.cpp"
 #include "braking.cpp"
+#include "self_motion.cpp"
 #include "step.cpp"
 #include "servo.cpp"
 #include "relax.cpp"

@@ -570,21 +570,29 @@ class CompiledLoop:
         box.outside[:] = at["outside"] != 0.0
         box.any_outside = bool(box.outside.any())
         base, columns = at["base"][:rows], at["columns"][: rows * unknowns].reshape(rows, unknowns)
-        x, report = self.solver.solve_filled(base, columns, at["unit"], p.cap, further)
+        if self._chain.redundancy:
+            self._place_chain()
+            self._chain.linearise(self.cell.moved(self.q, 0.5 * p.dt * at["guess"]), at["pose"][9:])
+        x, report = self.solver.solve_filled(base, columns, at["unit"], p.cap, p.dt, further)
         if x is None:
             return _OPEN, report
         at["x"][:unknowns] = x
         p.outcome = _QP if self._core.read(p.cap) else _OPEN
         return int(p.outcome), report
 
-    def _by_definition(self) -> tuple[SolverReport, str]:
-        """Answer this step by the plain definition, in the core's memory."""
-        at, p, box = self.at, self._proposal, self._box
+    def _place_chain(self) -> None:
+        """The tools of the definition's chain are where the core's are."""
         if self._shift is not None:
             self._chain.shift_grasp(self._shift)
         if self._motion is not None:
             self._chain.place(self._motion.placements(self._loop.clock))
             self._chain.apart = self._motion.apart(self._loop.clock)
+
+    def _by_definition(self) -> tuple[SolverReport, str]:
+        """Answer this step by the plain definition, in the core's memory."""
+        at, p, box = self.at, self._proposal, self._box
+        self._place_chain()
+        if self._motion is not None:
             self._shares[:] = at["shares"].reshape(-1, 6)
         given = self._given()
         found = self._definition.answer(given)

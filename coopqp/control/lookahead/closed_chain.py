@@ -5,6 +5,7 @@ The core's counterpart is ``chain_ahead.cpp``.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Generator
 from typing import NamedTuple, final
 
@@ -24,6 +25,7 @@ from coopqp.native.constants import (
     BRANCH_WAY,
     CONVERGED,
     ELBOW_GAIN,
+    FINE_BEND,
     FINE_CELL,
     JUST_BEFORE,
     MOST_TRIES,
@@ -158,7 +160,7 @@ class ClosedChainAhead:
         fine = h <= FINE_CELL
         if h > options.shortest and not knot.change <= (OTHER_BRANCH if fine else options.slope_step) * knot.fastest:
             return None
-        if not fine and not self._bends_slowly(knot, last):
+        if not self._bends_slowly(knot, last):
             return None
         if self._ends_reach(knot, last):
             return None
@@ -191,10 +193,17 @@ class ClosedChainAhead:
         return bool((too_close | passed).any())
 
     def _bends_slowly(self, knot: GridPoint, last: GridPoint) -> bool:
-        """Whether q″ has changed by a small share of the accelerations since the interval before."""
-        if last.span == 0.0 or last.corner:
+        """Whether q″ has changed by a small share of the accelerations since the interval before.
+
+        Fine intervals count, too, where the object creeps and needs longer for them. Where q′ changes steeply with q,
+        as beside the end of a reach that a slow shared joint extends, longer ones would overshoot, to and fro.
+        """
+        fine, least = knot.span <= FINE_CELL, max(FINE_CELL * math.sqrt(knot.cap), 2.0 * self._options.shortest)
+        if last.span == 0.0 or last.corner or (fine and not knot.span > least):
             return True
         change = float((np.abs(knot.curvature - last.curvature) / self._plan.acceleration).max())
+        if fine:
+            return change * knot.cap <= FINE_BEND
         if change <= BEND_CHANGE:
             return True  # at any rate
         z = largest_alone(knot.slope, knot.curvature, self._plan.acceleration, self._plan.slope_cap, knot.cap)

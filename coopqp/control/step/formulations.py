@@ -23,9 +23,10 @@ import numpy as np
 
 from coopqp.checks import Doc, documented, keep_scalars
 from coopqp.constraints.velocity import Rows, no_rows
+from coopqp.control.step.self_motion import shrunk_units
 from coopqp.control.step.velocity_bounds import VelocityBox
 from coopqp.model.chain import Chain
-from coopqp.solvers.problem import QpProblem
+from coopqp.solvers.problem import QpProblem, QpSolution
 from coopqp.spatial import Array, for_twists
 
 
@@ -156,18 +157,26 @@ class StepProgram:
     # -- condensed -----------------------------------------------------------------------------------------------
 
     def condensed(
-        self, terms: StepTerms, pieces: Pieces, box: VelocityBox, further: Rows | None = None, *, relax: bool = False
+        self,
+        terms: StepTerms,
+        pieces: Pieces,
+        box: VelocityBox,
+        further: Rows | None = None,
+        *,
+        relax: bool = False,
+        units: Array | None = None,
     ) -> tuple[QpProblem, Array, Array]:
         """The condensed form. Returns the problem and (base, B) with v = base + B x.
 
         x = [y (d), (cap − σ), (1 − ρ_g), (1 − ρ_p), z, r], each divided by its scale; r of the joints outside and, with
-        ``relax``, of the further rows that may give way.
+        ``relax``, of the further rows that may give way. ``units`` are those of :meth:`units_condensed`.
         """
         S, further = self._twist_basis(terms), _or_none(further, self.chain.nv)
         shares = np.column_stack([pieces.along, pieces.grasp, pieces.path]) * self._share_scale
         slack = self.chain.joint_columns(terms.to_world @ S)
         base = pieces.command(terms.rate_cap)
-        B = np.hstack([slack, -shares, self._posture_scale * self.chain.null_basis()])
+        null = self._posture_scale * self.chain.null_basis()
+        B = np.hstack([slack, -shares, null if units is None else null @ units])
         base_rows, B_rows = np.concatenate([base, further.G @ base]), np.vstack([B, further.G @ B])
         problem = self.least_distance(
             base_rows, B_rows, box, further, rate_cap=terms.rate_cap, shares_at=S.shape[1], relax=relax
@@ -198,8 +207,7 @@ class StepProgram:
         C[:, :own], A[:, :own] = B, B[outside]
         C[self.chain.nv + giving, n - giving.size + np.arange(giving.size)] = -self.relax_scale * further.soft[giving]
         A[np.arange(outside.size), led_back] = -self.recovery_scale
-        norms = np.linalg.norm(C, axis=1)
-        norms[norms < 1e-12] = 1.0
+        norms = _row_norms(C)
         lower, upper = np.concatenate([box.lower, further.lower]), np.concatenate([box.upper, further.upper])
         lb, ub = np.full(n, -np.inf), np.full(n, np.inf)
         lb[shares_at : shares_at + 3] = 0.0
@@ -216,6 +224,16 @@ class StepProgram:
             ub=ub,
         )
 
+    def units_condensed(self, solution: QpSolution, B: Array, box: VelocityBox, h: float) -> Array | None:
+        """Units of the self-motions that a solution asks for: see :mod:`coopqp.control.step.self_motion`."""
+        chain = self.chain
+        if not chain.redundancy or solution.y_rows is None or solution.y_eq is None:
+            return None
+        pull = solution.y_rows[: chain.nv].copy()
+        pull[box.outside] += solution.y_eq
+        own = slice(B.shape[1] - chain.redundancy, B.shape[1])
+        return shrunk_units(chain, solution.x[own], B[: chain.nv, own], pull / _row_norms(B[: chain.nv]), h)
+
     def read_condensed(self, x: Array, terms: StepTerms, base: Array, B: Array) -> Answer:
         """The step that a solution of :meth:`condensed` stands for."""
         S = self._twist_basis(terms)
@@ -229,7 +247,13 @@ class StepProgram:
     # -- full and slack ------------------------------------------------------------------------------------------
 
     def full(
-        self, terms: StepTerms, box: VelocityBox, further: Rows | None = None, *, slack: bool = False
+        self,
+        terms: StepTerms,
+        box: VelocityBox,
+        further: Rows | None = None,
+        *,
+        slack: bool = False,
+        units: Array | None = None,
     ) -> QpProblem:
         """The full form: x = [v (nv), y (d), (cap − σ), (1 − ρ_g), (1 − ρ_p), t, r], scaled as in the condensed form.
 
@@ -261,6 +285,9 @@ class StepProgram:
             # Active-set solvers manage ten orders of magnitude between costs, not fourteen.
             cost = max(self.weights.posture, 1e-10 * self.weights.chain) if slack else self.weights.posture
             G, target = self._posture_rows(terms, n, shares.start)
+            if units is not None:
+                per = np.linalg.inv(units)
+                G, target = per @ G, per @ target
             H += cost * G.T @ G
             g -= cost * G.T @ target
 
@@ -317,6 +344,18 @@ class StepProgram:
         G[:, rate_at] = dual @ along * self._share_scale[0]
         return G, dual @ (offset + terms.rate_cap * along)
 
+    def units_full(self, solution: QpSolution, terms: StepTerms, box: VelocityBox, h: float) -> Array | None:
+        """The same of a solution of :meth:`full`."""
+        chain, outside = self.chain, int(box.outside.sum())
+        if not chain.redundancy or solution.y_box is None or solution.y_eq is None:
+            return None
+        pull = solution.y_box[: chain.nv].copy()
+        pull[box.outside] += solution.y_eq[len(solution.y_eq) - outside :]
+        rate_at = chain.nv + self._twist_basis(terms).shape[1]
+        G, target = self._posture_rows(terms, solution.x.size, rate_at)
+        z = (G @ solution.x - target) / self._posture_scale
+        return shrunk_units(chain, z, self._posture_scale * chain.null_basis(), pull, h)
+
     def read_full(self, x: Array, terms: StepTerms) -> Answer:
         """The step that a solution of :meth:`full` stands for."""
         S, nv = self._twist_basis(terms), self.chain.nv
@@ -335,6 +374,12 @@ class StepProgram:
         parting = self.chain.twists(answer.velocity) @ terms.to_world - common
         parting[list(self.chain.apart)] = 0.0
         return float(np.linalg.norm(parting[:, :3], axis=1).max())
+
+
+def _row_norms(rows: Array) -> Array:
+    norms: Array = np.linalg.norm(rows, axis=1)
+    norms[norms < 1e-12] = 1.0
+    return norms
 
 
 def _or_none(further: Rows | None, nv: int) -> Rows:

@@ -106,7 +106,7 @@ class StepSolver:
             shortcut = shortcut or self._fastest_on_path(terms, pieces, further)
             if shortcut is not None:
                 return shortcut
-        solved, report = self._solve(terms, pieces, further)
+        solved, report = self._solve(terms, pieces, h, further)
         if solved is None:
             return self._brake(terms, v_prev, h, further, report)
         values = vars(solved) | {
@@ -116,11 +116,20 @@ class StepSolver:
         return StepAnswer(**values, active=self._active(solved.velocity, further), report=report)
 
     def solve_filled(
-        self, base: Array, columns: Array, unit: Array, cap: float, further: Rows
+        self, base: Array, columns: Array, unit: Array, cap: float, h: float, further: Rows
     ) -> tuple[Array | None, SolverReport]:
-        """x of the condensed QP that the core has filled in, in the core's units; None without a usable answer."""
-        problem = self.program.least_distance(base, columns, self._box, further, rate_cap=cap)
+        """x of the condensed QP that the core has filled in, in the core's units; None without a usable answer.
+
+        The chain is linearised where the core has filled it in. Other units of self-motions are put into the columns.
+        """
+        program, box = self.program, self._box
+        problem = program.least_distance(base, columns, box, further, rate_cap=cap)
         solution = _ask(self._solver, problem)
+        units = program.units_condensed(solution, columns, box, h) if solution.usable else None
+        if units is not None:
+            columns[:, -len(units) :] @= units
+            again = _ask(self._solver, program.least_distance(base, columns, box, further, rate_cap=cap))
+            solution = again
         return (solution.x[: unit.size] if solution.usable else None), self._report(solution, self._solver)
 
     def _nominal(self, terms: StepTerms, pieces: Pieces, further: Rows) -> StepAnswer | None:
@@ -149,18 +158,14 @@ class StepSolver:
         active: tuple[Active, ...] = ((row, 1.0 if along[row] > 0.0 else -1.0),) if high < cap else ()
         return StepAnswer(clipped, rate, active=active, exact=True)
 
-    def _solve(self, terms: StepTerms, pieces: Pieces, further: Rows) -> tuple[Answer | None, SolverReport]:
+    def _solve(self, terms: StepTerms, pieces: Pieces, h: float, further: Rows) -> tuple[Answer | None, SolverReport]:
         """The QP of the chosen form; where its chain cannot be kept, the one that lets the chain part."""
         program, box = self.program, self._box
         for relax in (False, True) if further.soft.any() else (False,):
             if self._options.form == "condensed":
-                problem, base, B = program.condensed(terms, pieces, box, further, relax=relax)
-                solution = _ask(self._solver, problem)
-                answer = program.read_condensed(solution.x, terms, base, B) if solution.usable else None
+                answer, solution = self._condensed(terms, pieces, h, further, relax=relax)
             elif not relax:
-                problem = program.full(terms, box, further)
-                solution = _ask(self._solver, problem)
-                answer = program.read_full(solution.x, terms) if solution.usable else None
+                answer, solution = self._full(terms, h, further)
             if answer is not None and self._believable(answer.velocity):
                 return answer, self._report(solution, self._solver)
         problem = program.full(terms, box, further, slack=True)
@@ -181,6 +186,35 @@ class StepSolver:
         if not self._believable(answer.velocity):
             return None, report
         return replace(answer, chain=program.parting(answer, terms)), report
+
+    def _condensed(
+        self, terms: StepTerms, pieces: Pieces, h: float, further: Rows, *, relax: bool
+    ) -> tuple[Answer | None, QpSolution]:
+        """The condensed form's answer, and the solver's: again in other units of self-motions that ask for them."""
+        program, box = self.program, self._box
+        problem, base, B = program.condensed(terms, pieces, box, further, relax=relax)
+        solution = _ask(self._solver, problem)
+        if not solution.usable:
+            return None, solution
+        units = program.units_condensed(solution, B, box, h)
+        if units is not None:
+            problem, base, stiffer = program.condensed(terms, pieces, box, further, relax=relax, units=units)
+            again = _ask(self._solver, problem)
+            if again.usable:
+                solution, B = again, stiffer
+        return program.read_condensed(solution.x, terms, base, B), solution
+
+    def _full(self, terms: StepTerms, h: float, further: Rows) -> tuple[Answer | None, QpSolution]:
+        """The same of the full form."""
+        program, box = self.program, self._box
+        solution = _ask(self._solver, program.full(terms, box, further))
+        if not solution.usable:
+            return None, solution
+        units = program.units_full(solution, terms, box, h)
+        if units is not None:
+            again = _ask(self._solver, program.full(terms, box, further, units=units))
+            solution = again if again.usable else solution
+        return program.read_full(solution.x, terms), solution
 
     def _believable(self, v: Array) -> bool:
         """Finite, and inside the box but for the solver's residue (a NaN fails the comparison)."""

@@ -59,7 +59,9 @@ class RateCap:
             if ahead is not None:
                 binding = (ahead,)
         no_horizon = preview is None or preview.no_horizon
-        if self._box.accelerates and (no_horizon or s.correcting is not None):
+        # A correction that can end within a step need not brake ahead: it would stop and start in turn beside a limit.
+        corrects = s.correcting is not None and not self._box.stops_at_once(s.v, h)
+        if self._box.accelerates and (no_horizon or corrects):
             keep, late = self._box.brake_share(self._cell.positions(s.q), s.v, h)
             if keep < 1.0 and no_horizon and keep * s.rate < cap:
                 cap, binding = keep * s.rate, (self._cell.joint_limit(late, LimitKind.POSITION),)

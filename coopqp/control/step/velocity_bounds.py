@@ -103,6 +103,10 @@ class VelocityBox:
         joint = int(times.argmin())
         return max(0.0, 1.0 - h / min(max(2.0 * (float(times[joint]) - h), longest), planned)), joint
 
+    def stops_at_once(self, v: Array, h: float) -> bool:
+        """Whether every joint can come to rest within a step."""
+        return bool((np.abs(v) <= self.limits.acceleration * h).all())
+
     def kind_of(self, j: int, sign: float, v_prev: Array, dt: float) -> LimitKind:
         """Which limit makes the bound of joint ``j`` on the side of ``sign``."""
         bound = self.upper.item(j) if sign > 0 else self.lower.item(j)

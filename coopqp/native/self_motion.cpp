@@ -1,0 +1,39 @@
+/* What self-motion of redundant arms costs beyond its speed, so that no limit shakes them to and fro. The definition, with
+ * the formulae, is coopqp/control/step/self_motion.py. */
+
+#include "functions.h"
+
+/* Put the units of the self-motions that the QP's solution asks for into the columns; 0 where they may stay. */
+static int shrink_units(Core *c, double h) {
+    const double time = fmax(APPROACH_TIME, APPROACH_STEPS * h);
+    const Given x(c->x, c->unknowns);
+    OfRows columns = columns_of(c);
+    Twists bends(c->scratch, 6, c->arms);
+    Vector w(c->scratch + 6 * c->arms, c->joints, 1), back(w + c->joints, c->joints, 1), nothing(back + c->joints, c->joints, 1);
+    const int own = c->unknowns - TWIST_AND_SHARES;
+    int shrunk = 0;
+    w = columns.topRows(c->joints).rightCols(own).lazyProduct(x.tail(own));
+    for (int k = 0; k < c->arms; k++) bends.col(k) = bend(c, k, w);
+    if (!two_velocities(c, c->jacobian, bends, Vector6::Zero(), nullptr, nullptr, back, nothing)) return 0;
+    for (int k = 0, z = TWIST_AND_SHARES; k < c->arms; k++) {
+        if (!leads_group(c, k)) continue;
+        const Group *g = group_of(c, k);
+        const int joints = joints_together(c, k), extra = joints - 6 * (g ? g->arms : 1), at = z;
+        z += extra;
+        const auto motion = x.segment(at, extra);
+        const double size = motion.squaredNorm();
+        if (!(size > 0.0) || follows_way(c, k)) continue;
+        double cost = 0.0;
+        for (int i = 0; i < joints; i++) cost -= c->pull[joint_together(c, k, i)] * back[joint_together(c, k, i)];
+        cost *= time / size;
+        if (!(cost > 1.0)) continue;
+        auto all = columns.middleCols(at, extra);
+        const double less = (1.0 / sqrt(cost) - 1.0) / size;
+        for (int i = 0; i < columns.rows(); i++) {
+            const double along = all.row(i).dot(motion);
+            all.row(i) += less * along * motion.transpose();
+        }
+        shrunk = 1;
+    }
+    return shrunk;
+}
