@@ -16,6 +16,7 @@ import common  # first: it limits BLAS to one thread
 import promise_cases
 from common import Record
 from promise_cases import (
+    at_limits,
     bodies,
     braking,
     calls,
@@ -56,6 +57,7 @@ GROUPS: dict[str, tuple[Callable[[bool], Iterator[promise_cases.Promise]], ...]]
         description_files.promises,
         too_quick.promises,
         calls.promises,
+        at_limits.promises,
     ),
 }
 
