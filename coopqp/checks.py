@@ -107,15 +107,15 @@ def as_scalar(value: Any, where: str, *, low: float = 0.0, high: float = np.inf,
 
 
 #: The longest step of a controller [s]; a longer one was meant in milliseconds.
-_LONGEST_STEP = 0.5
+_LONGEST_PERIOD = 0.5
 
 
 def as_step(value: Any, where: str) -> float:
     """Return the length of a controller's steps, a float in (0, 0.5] [s]."""
     number = as_scalar(value, where)
-    if number > _LONGEST_STEP:
+    if number > _LONGEST_PERIOD:
         raise InvalidInputError(
-            f"steps of {number:g} s are too long ({_LONGEST_STEP:g} s at most), as if they were milliseconds",
+            f"steps of {number:g} s are too long ({_LONGEST_PERIOD:g} s at most), as if they were milliseconds",
             where,
             f"Give seconds: {1e-3 * number:g}.",
         )
