@@ -106,16 +106,16 @@ def as_scalar(value: Any, where: str, *, low: float = 0.0, high: float = np.inf,
     return number
 
 
-#: The longest step of a controller [s]; a longer one was meant in milliseconds.
-_LONGEST_PERIOD = 0.5
+#: Steps of a controller are shorter than this [s]; others were meant in milliseconds.
+_MILLISECONDS = 1.0
 
 
 def as_step(value: Any, where: str) -> float:
-    """Return the length of a controller's steps, a float in (0, 0.5] [s]."""
+    """Return the length of a controller's steps, a float in (0, 1) [s]."""
     number = as_scalar(value, where)
-    if number > _LONGEST_PERIOD:
+    if number >= _MILLISECONDS:
         raise InvalidInputError(
-            f"steps of {number:g} s are too long ({_LONGEST_PERIOD:g} s at most), as if they were milliseconds",
+            f"steps of {number:g} s are too long (they are below {_MILLISECONDS:g} s), as if they were milliseconds",
             where,
             f"Give seconds: {1e-3 * number:g}.",
         )

@@ -21,8 +21,7 @@ from urllib.parse import urlsplit
 
 import numpy as np
 
-from coopqp import load_cell_file
-from coopqp.control.interface import ControlStep
+from coopqp import ControlStep, load_cell_file
 from coopqp.drivers import ControlLoop, LoopOptions
 from coopqp.spatial import Array
 from promise_cases import Promise

@@ -30,7 +30,7 @@ LAZY = (
 #: Modules whose own functions and classes are public.
 MODULES = ("coopqp.errors", "coopqp.native", "coopqp.output", "coopqp.spatial")
 PUBLIC = (*LAZY, *MODULES, "coopqp.scenarios")
-#: Scripts that measure the parts of a step.
+#: Scripts that measure the parts of a step, and judges that stand where a robot or a stranger does.
 INSIDE = (
     "benchmarks/behaviour.py",
     "benchmarks/peer",
@@ -43,6 +43,8 @@ INSIDE = (
     "benchmarks/look_ahead_cases.py",
     "benchmarks/ompl_routes.py",
     "benchmarks/planning.py",
+    "benchmarks/promise_cases/real_robots.py",
+    "benchmarks/promise_cases/strangers.py",
     "benchmarks/recorded_qps.py",
     "benchmarks/step_profile.py",
 )
