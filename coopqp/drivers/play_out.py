@@ -105,6 +105,10 @@ class Addition:
         own, place = share * mixture_step, share * (mixture - mixture_step) + self.value
         high = np.minimum(most, _largest_step(share * self._upper - place, most_change)) - own
         low = -np.minimum(most, _largest_step(place - share * self._lower, most_change)) - own
+        # Nor does what is sent leave the limits, or go further out where it starts outside, as the mixture does then.
+        stands = mixture + self.value
+        high = np.minimum(high, np.maximum(np.maximum(self._upper - stands, -mixture_step), 0.0))
+        low = np.maximum(low, np.minimum(np.minimum(self._lower - stands, -mixture_step), 0.0))
         wanted = wanted * self._factors(wanted, low, high)
         turn = own - share * self._mixture_step
         self._mixture_step = mixture_step

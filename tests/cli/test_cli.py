@@ -87,12 +87,12 @@ def test_a_terminal_gets_a_bar_and_colours(
     monkeypatch.setattr(demo, "demo_pictures", lambda *_: {"a.png": b"1"})
     monkeypatch.setenv("TERM", "xterm")
     monkeypatch.delenv("NO_COLOR", raising=False)
-    assert cli.main(["demo", "--steps", "2", "--out", str(tmp_path)]) == 0
+    assert cli.main(["demo", "--steps", "4", "--out", str(tmp_path)]) == 0
     printed = capsys.readouterr()
     assert "%" in printed.err
     assert printed.out.startswith("\033[1mmethod")
     monkeypatch.setenv("NO_COLOR", "1")
-    assert cli.main(["demo", "--steps", "2", "--out", str(tmp_path)]) == 0
+    assert cli.main(["demo", "--steps", "4", "--out", str(tmp_path)]) == 0
     assert "\033" not in capsys.readouterr().out
 
 
@@ -189,7 +189,7 @@ def test_a_failure_while_writing_leaves_nothing(
     monkeypatch.setattr(demo, "demo_pictures", lambda *_: {"a.png": b"1", "b.png": b"2"})
     monkeypatch.setattr(Path, "replace", full)
     out, records = tmp_path / "out", tmp_path / "records.json"
-    assert cli.main(["demo", "--steps", "2", "--out", str(out), "--json", str(records), "--quiet"]) == 2
+    assert cli.main(["demo", "--steps", "4", "--out", str(out), "--json", str(records), "--quiet"]) == 2
     assert "No space left on device" in capsys.readouterr().err
     assert [p for p in tmp_path.rglob("*") if p.is_file()] == []
 
@@ -198,7 +198,7 @@ def test_quiet_prints_nothing(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.setattr(demo, "demo_pictures", lambda *_: {"a.png": b"1"})
-    assert cli.main(["demo", "--steps", "2", "--out", str(tmp_path), "--quiet"]) == 0
+    assert cli.main(["demo", "--steps", "4", "--out", str(tmp_path), "--quiet"]) == 0
     assert capsys.readouterr() == ("", "")
 
 
@@ -240,7 +240,7 @@ def test_control_c_stops_a_run_without_a_traceback(tmp_path: Path) -> None:
 def test_a_reader_that_leaves_is_no_error(tmp_path: Path) -> None:
     program = (
         "import sys; from coopqp.cli import main as cli, demo; demo.demo_pictures = lambda *_: {};"
-        f"sys.exit(cli.main(['demo', '--steps', '2', '--out', {str(tmp_path)!r}]))"
+        f"sys.exit(cli.main(['demo', '--steps', '4', '--out', {str(tmp_path)!r}]))"
     )
     with subprocess.Popen([sys.executable, "-c", program], stdout=subprocess.PIPE, stderr=subprocess.PIPE) as process:
         assert process.stdout is not None

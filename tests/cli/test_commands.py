@@ -314,7 +314,7 @@ def test_pages_and_tables_are_overwritten_with_force_only(
         "r.html": ["report", what, "--out", "r.html"],
         "v.html": ["view", what, "--html", "v.html"],
         "run.csv": ["export", what, "--csv", "run.csv"],
-        "demo/figure5.png": ["demo", "--steps", "2", "--out", "demo"],
+        "demo/figure5.png": ["demo", "--steps", "4", "--out", "demo"],
     }.items():
         (tmp_path / name).parent.mkdir(exist_ok=True)
         (tmp_path / name).write_text("mine")

@@ -62,7 +62,7 @@ CASES: dict[str, tuple[Any, float, float, dict[str, Any]]] = {
     "past a singularity": (lambda: scenario("at_singularity"), 3.0, 0.01, {"shortcut": False}),
     "seven joints": (lambda: scenario("dual_arm7"), 5.0, 0.01, {"shortcut": False}),
     "six and seven joints": (lambda: scenario("mixed_cell"), np.inf, 0.01, {"shortcut": False}),
-    "arms off their grasp": (lambda: shifted(scenario("dual_arm7")), 5.0, 0.01, {}),
+    "arms off their grasp": (lambda: shifted(scenario("paper_lift")), 5.0, 0.01, {}),
     "arms off their grasp, pinned": (lambda: pinned(shifted(scenario("dual_arm7"))), np.inf, 0.01, {}),
     "five joints": (lambda: scenario("five_joint_pair"), 5.0, 0.01, {"shortcut": False}),
     "four joints": (lambda: scenario("scara_pair"), 3.0, 0.01, {"shortcut": False}),
