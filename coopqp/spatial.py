@@ -21,7 +21,7 @@ Placement: TypeAlias = "pin.SE3 | Array"
 #: Largest accepted entry of ``|R Rᵀ − I|`` of a rotation argument: matrices printed with four decimals have 2e-4.
 ROTATION_TOLERANCE = 3e-4
 #: Up to this one a rotation is taken as it is; beyond, the nearest rotation is.
-_ROUNDING = 1e-9
+_TAKEN_AS_IS = 1e-9
 
 
 def as_placement(value: Placement, where: str) -> pin.SE3:
@@ -66,7 +66,7 @@ def as_placement(value: Placement, where: str) -> pin.SE3:
             where,
             f"Give an orthonormal, right-handed rotation (tolerance {ROTATION_TOLERANCE:g}).",
         )
-    if defect > _ROUNDING:
+    if defect > _TAKEN_AS_IS:
         U, _, Vt = np.linalg.svd(R)
         R = U @ Vt
     return pin.SE3(R.copy(), matrix[:3, 3].copy())
@@ -79,7 +79,7 @@ def _is_placement(T: pin.SE3) -> bool:
     squares = max(abs(a * a + b * b + c * c - 1.0), abs(d * d + e * e + f * f - 1.0), abs(g * g + h * h + i * i - 1.0))
     angles = max(abs(a * d + b * e + c * f), abs(a * g + b * h + c * i), abs(d * g + e * h + f * i))
     det = a * (e * i - f * h) + b * (f * g - d * i) + c * (d * h - e * g)
-    return squares <= _ROUNDING and angles <= _ROUNDING and det > 0.0 and math.isfinite(x + y + z)
+    return squares <= _TAKEN_AS_IS and angles <= _TAKEN_AS_IS and det > 0.0 and math.isfinite(x + y + z)
 
 
 def axis_angle(R: Array) -> tuple[Array, float]:

@@ -2,7 +2,7 @@
 
 It has nothing of the core: kinematics are Pinocchio's frames, gradients are differences, the QP is in full form. It
 knows fixed grasps, arms of any number of joints and joints that arms share, and it knows nothing ahead of the object.
-It has not what holds the self-motion of redundant arms whose joints stand at their limits (the QP that is solved again).
+It lacks what holds the self-motion of redundant arms at their limits, a QP that is solved again.
 """
 
 from __future__ import annotations
