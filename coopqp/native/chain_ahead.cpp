@@ -351,7 +351,7 @@ static int bends_slowly(const Core *c, int last, int made) {
     const double *bend = vector_of(c, c->knot_curvature, made), *before = vector_of(c, c->knot_curvature, last);
     double change = 0.0;
     for (int j = 0; j < c->joints; j++) change = maximum(change, fabs(bend[j] - before[j]) / c->plan_acceleration[j]);
-    if (fine) return change * cap <= FINE_BEND;
+    if (fine) return c->users_path || change * cap <= FINE_BEND; /* a user's path is asked rarely */
     return change <= BEND_CHANGE || change * largest_alone(c, made) <= BEND_CHANGE;
 }
 

@@ -203,7 +203,7 @@ class ClosedChainAhead:
             return True
         change = float((np.abs(knot.curvature - last.curvature) / self._plan.acceleration).max())
         if fine:
-            return change * knot.cap <= FINE_BEND
+            return self._path.own or change * knot.cap <= FINE_BEND  # a user's path is asked rarely
         if change <= BEND_CHANGE:
             return True  # at any rate
         z = largest_alone(knot.slope, knot.curvature, self._plan.acceleration, self._plan.slope_cap, knot.cap)
