@@ -173,8 +173,10 @@ def test_shortcut_form_and_solver_change_nothing_that_matters(scenario: Callable
     reference = run(task, dt=0.01, longest=120)
     bound = np.concatenate([np.arange(s.start, s.stop) for s in task.cell.v_slices if s.stop - s.start <= 6])
     ways: list[dict[str, Any]] = [{"shortcut": False}, {"shortcut": False, "form": "full"}, {"kernel": "plain"}]
+    # The core does not repeat another solver's answer for the share of the clock that it takes.
     ways += [{"shortcut": False, "solver": name} for name in ("proxqp", "osqp")]
     for way in ways:
+        alike = max(alike, 5e-4) if "solver" in way else alike
         steps = run(task, dt=0.01, longest=120, **way)
         for a, b in zip(reference, steps, strict=True):
             assert np.abs(a.velocity - b.velocity)[bound].max() < alike, way
