@@ -26,6 +26,9 @@ from coopqp.paths.grasp_motion import GraspMotion
 from coopqp.paths.time_law import TimeLaw, as_time_law
 from coopqp.spatial import Array, Placement, as_placement, as_placements, axis_angle
 
+#: A larger turn is an angle in another unit, or no number of turns that rounding leaves [rad].
+_LARGEST_TURN = 1e4
+
 
 class ObjectPath(abc.ABC):
     """A path of the object: pose and twist as functions of the object's clock τ [s]."""
@@ -171,10 +174,16 @@ class LinePath(ObjectPath):
         """Path from ``start`` by a translation [m] and a rotation vector [rad] about the origin, in world axes.
 
         The object turns as told, also by more than half a turn, for which no goal could ask.
+
+        Raises:
+            InvalidInputError: not placements and vectors of finite numbers, or a turn of more than 1e4 rad.
         """
         T = as_placement(start, "LinePath.displaced: start")
         shift = as_vector(translation, 3, "LinePath.displaced: translation")
         turn = as_vector(rotation, 3, "LinePath.displaced: rotation")
+        if np.abs(turn).max() > _LARGEST_TURN:
+            what = f"a turn by {np.abs(turn).max():.3g} rad"
+            raise InvalidInputError(what, "LinePath.displaced: rotation", f"Give {_LARGEST_TURN:g} rad at most.")
         goal = pin.SE3(pin.exp3(turn) @ T.rotation, T.translation + shift)
         path = LinePath.__new__(LinePath)
         angle = float(np.linalg.norm(turn))
