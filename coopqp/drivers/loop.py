@@ -237,7 +237,7 @@ class ControlLoop(LoopCalls):
         self._moved = self._rested = False
         self._now = began = time.now()
         # A servo that tells no target shows at rest how far it stands off its commands.
-        self._ramp = began + (0.0 if tell_targets(self.watches) else motion.look_time)
+        self._ramp = began + (0.0 if tell_targets(self.watches) else motion.settling)
         self._stop_reasons: list[str] = []
         self._gone = began, 0.0
         self._ramp_time = self.options.ramp_time

@@ -321,11 +321,6 @@ class SharedMotion:
         """How long robots take to come to rest after what is sent does [s]."""
         return self._wait + 3.0 * float(self.lag.max(initial=0.0))
 
-    @property
-    def look_time(self) -> float:
-        """How long robots that tell no target are looked at before they move, to see what they hang off [s]."""
-        return self.settling + 5.0 * _SAG_TIME
-
     def speed(self) -> float:
         """Largest speed of what is sent [rad/s or m/s]."""
         return float(np.abs(self.sent - self.before).max() / self._h)

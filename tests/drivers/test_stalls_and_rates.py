@@ -77,10 +77,8 @@ def test_a_stall_that_is_long_ends_the_run(lift):
     report, times, sent = _run(lift, time, simulated_robots(lift.cell, lift.q_start, time, (0.007, 0.032, 0.047)))
     assert not report.finished
     assert "the loop stood for 60.00 s" in report.reason
-    at = int(np.searchsorted(times, time.back - 1e-9)) - 1
-    fastest = np.abs(np.diff(sent[:at], axis=0)).max() / 0.002
-    moved = np.abs(sent[-1] - sent[at])
-    assert moved.max() < 0.06 * fastest  # to the point at which the arms agree, with the longest lag and the lead
+    moved = np.abs(sent[-1] - sent[np.searchsorted(times, time.back - 1e-9) - 1])
+    assert moved.max() < 0.05  # to the point at which the arms agree
 
 
 class _Told:
@@ -212,10 +210,11 @@ def test_a_servo_that_hangs_too_far_ends_the_run_before_it_moves(lift):
 
 
 @pytest.mark.slow
-def test_a_robot_whose_states_come_late_is_named(lift):
+@pytest.mark.parametrize("latency", [0.05, 0.1])
+def test_a_robot_whose_states_come_late_is_named(lift, latency):
     time = ManualTime()
     robots = simulated_robots(lift.cell, lift.q_start, time, (0.0, 0.0, 0.0), tells_target=False)
-    robots["slave_1"].latency = 0.05
+    robots["slave_1"].latency = latency
 
     class Ends(_Sent):
         def take(self, moment, *others):
