@@ -43,8 +43,6 @@ _SLOW_END = 1e-3
 _LEAPS, _MAY_LEAP = 1.0, 0.05
 #: The run ends where the arms stand for this time on a way that goes on, and less than this of it was gone [s].
 _STANDSTILL, _GONE = 5.0, 1e-3
-#: A run whose shared clock comes no further for this time ends [s]; a rate below one in this number is no progress.
-_STUCK, _CREEPS = 3.0, 50.0
 #: Every how many periods the distance of the arms is looked at.
 _LOOK = 10
 
@@ -230,15 +228,12 @@ class ControlLoop(LoopCalls):
         self._finish, self._still, self._settled, self._short, self._stops = math.inf, 0.0, 0.0, 0.0, 0
         self._arrived = math.nan
         self._missing: Counter[str] = Counter()
-        self._stalls, self._rest, self._stuck, self._furthest = 0, 0.0, 0.0, 0.0
+        self._stalls, self._rest = 0, 0.0
         self._looks: list[Array] = []
         self._looked = 0
         self._force, self._slowest, self._standing = math.nan, 1.0, False
         self._moved = self._rested = False
-        self._now = began = time.now()
-        # A servo that tells no target shows at rest how far it stands off its commands.
-        self._ramp = began + (0.0 if tell_targets(self.watches) else motion.settling)
-        self._stop_reasons: list[str] = []
+        self._now = self._ramp = began = time.now()
         self._gone = began, 0.0
         self._ramp_time = self.options.ramp_time
         self._beaten = max(self._beaten, began)
@@ -283,10 +278,7 @@ class ControlLoop(LoopCalls):
         ramp = 1.0 if self._ramp_time == 0.0 else (now - self._ramp) / self._ramp_time
         ramp = 0.1 + 0.9 * min(ramp, 1.0)
         sent = motion.step(
-            deadline,
-            most=ramp,
-            said=np.zeros_like(said) if self._standing else said,
-            stand=braking or stood or now < self._ramp,
+            deadline, most=ramp, said=np.zeros_like(said) if self._standing else said, stand=braking or stood
         )
         self._slowest = min(self._slowest, motion.law.rate)
         before = motion.before
@@ -301,7 +293,6 @@ class ControlLoop(LoopCalls):
                 )
         if self._step is not None:
             self._tell(self._step, sent, motion.way.clock(motion.play_out.parameter))
-        self._wait_for_slowest(braking)
         if motion.law.stopped and not braking and not self._standing:
             self._settled = self._settled + self.period if motion.rests() else 0.0
             if self._settled >= _SETTLED:
@@ -340,25 +331,6 @@ class ControlLoop(LoopCalls):
                 f"the arms stood for {_STANDSTILL:g} s, as robot '{behind}' is not where it is sent{why}", failed=True
             )
 
-    def _wait_for_slowest(self, braking: bool) -> None:
-        """End a run whose shared clock does not go on, though no robot stands."""
-        motion = self._motion
-        assert motion is not None
-        sigma = motion.shared.sigma
-        further, self._furthest = max(sigma - self._furthest, 0.0), max(sigma, self._furthest)
-        if braking or self._standing or motion.begins:
-            self._stuck = 0.0
-            return
-        self._stuck = max(self._stuck + self.period - _CREEPS * further, 0.0)
-        if self._stuck > _STUCK:
-            k = motion.law.slowest
-            self._end(
-                f"robot '{self.watches[k].robot.name}' is {1e3 * motion.lateness[k]:.0f} ms behind its commands, and "
-                "waiting brings it no nearer: its states may come late, or its driver's lag and delay are not the true "
-                "ones",
-                failed=True,
-            )
-
     def _holds(self) -> bool:
         """Whether the controller does not go on by itself; behind a robot that stopped it is not asked."""
         motion, step = self._motion, self._step
@@ -390,25 +362,10 @@ class ControlLoop(LoopCalls):
             self._measured[joints] = q
             if watch.fresh or np.isnan(self._off[joints]).any():
                 self._off[joints] = motion.watch(k, watch.state, watch.moment, q, moment)
-                if motion.begins:
-                    self._refuse_sag(watch)
         self._looked += 1
         if self._looked % _LOOK == 0:
             self._looks.append(self._measured.copy())
         return said
-
-    def _refuse_sag(self, watch: RobotWatch) -> None:
-        """End a run of a robot that stands too far off its first commands for them to be told from a stop."""
-        motion, joints, most = self._motion, watch.robot.joints, self.options.start_tolerance
-        assert motion is not None
-        sag = np.abs(motion.sag[joints])
-        j = int(np.argmax(sag))
-        if sag[j] > most:
-            self._end(
-                f"robot '{watch.robot.name}' stands {1e3 * sag[j]:.1f} mrad (or mm) off its commands at joint "
-                f"{self.cell.joint_names[joints[j]]}, and may {1e3 * most:.1f}: look at its load and its gains",
-                failed=True,
-            )
 
     def _move_bodies(self, now: float) -> None:
         if self._bodies is not None:
@@ -472,18 +429,12 @@ class ControlLoop(LoopCalls):
         """All stand where the slowest stands: the controller begins again there, paused."""
         motion = self._motion
         assert motion is not None
-        watch = self.watches[motion.law.slowest]
-        clock, self._stopped_robot = motion.clock(), watch.robot.name
-        says = f"says {watch.condition().value}" if watch.condition() in STANDS else "does not say that it stands"
-        self._stop_reasons.append(
-            f"robot '{watch.robot.name}' did not follow its commands at {clock:.2f} s of the path, and {says}"
-        )
+        clock, self._stopped_robot = motion.clock(), self.robots[motion.law.slowest].name
         q = self.cell.configuration_of(motion.shared.point)
         self.controller.pause()
         self.controller.reset(q, clock=clock)
         self._last_q = self.cell.positions(q)
         motion.restart()
-        self._furthest = 0.0
         self._settled, self._finish, self._arrived = 0.0, math.inf, math.nan
         self._stops += 1
         self._standing = True
@@ -548,8 +499,6 @@ class ControlLoop(LoopCalls):
             lost_time=dict(zip(names, motion.law.lost.tolist(), strict=True)),
             slowest_rate=self._slowest,
             stops=self._stops,
-            stop_reasons=tuple(self._stop_reasons),
-            sag={robot.name: float(np.abs(motion.sag[robot.joints]).max()) for robot in self.robots},
             stalls=self._stalls,
             periods=periods,
             late=int((late > 0.5 * self.period).sum()),

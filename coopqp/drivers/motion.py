@@ -7,7 +7,6 @@ from collections.abc import Sequence
 from typing import final
 
 import numpy as np
-import numpy.typing as npt
 
 from coopqp.drivers.command_spline import CommandSpline
 from coopqp.drivers.driver import RobotState
@@ -29,9 +28,6 @@ _SLOW = 5e-3
 RESOLUTION = 1e-4
 #: Leaps between states are averaged over this time [s], and one counts as this share of the speed limits at most.
 _LEAPS, _ONE_LEAP = 0.5, 10.0
-#: What a servo that tells no target hangs off its commands is followed in the time [s] at the start, and then by this
-#: share of the way that its joints go: gravity turns with the pose, and a robot that stops goes no way.
-_SAG_TIME, _SAG_SHARE = 0.02, 5e-3
 #: Periods of the history of the shared clock.
 _HISTORY = 1024
 
@@ -57,8 +53,6 @@ class SharedMotion:
         lag: lag of each robot, as told or learnt so far (robots,) [s].
         sent, before: the commands of the last period and of the one before (nv,) [rad or m].
         lateness: of each robot along the way (robots,) [s]; NaN while it is not known.
-        sag: how far joints of robots without targets stand off what they are sent, as servos do under load (nv,)
-            [rad or m].
         leaps: by how much faster each robot's joints go from state to state than it says, as a share of their speed
             limits: the mean of the last half second (robots,).
     """
@@ -98,7 +92,6 @@ class SharedMotion:
         self._lead = lead
         self._wait = lead + float(delay.max(initial=0.0))
         self.lateness = np.full(n, np.nan)
-        self.sag, self._begins = np.zeros(cell.nv), True
         #: The lateness that RESOLUTION makes of each robot.
         self._allowed = np.zeros(n)
         #: The rate at which each robot goes along the way, and where it was seen last, at what time.
@@ -171,9 +164,7 @@ class SharedMotion:
         p, rate = self.expected(aligned)
         slope = self.way.slope(p)[joints]
         away = turned(self._cell, q - self._commanded(k, 1, aligned), joints)
-        if state.target is None:
-            self._hang(joints, away, state)
-        seen = _behind(away - self.sag[joints], slope, scale, _SLOW)
+        seen = _behind(away, slope, scale, _SLOW)
         off: Array = away + _behind(away, slope, scale, 1e-2 * _SLOW) * slope
         learns = self._learning[k] > 0.0
         if learns:
@@ -186,7 +177,7 @@ class SharedMotion:
             unknown = LONGEST_LAG if self._unknown[k] else self.lag[k]
             left = self._learning[k] / self._options.learning_time
             seen = max(seen - unknown * left * max(rate, 0.0), 0.0)
-        self.lateness[k] = 0.0 if self.begins and state.target is None else seen
+        self.lateness[k] = seen
         speed = math.sqrt(float(slope @ (scale * slope)))
         self._allowed[k] = RESOLUTION * speed / (speed * speed + _SLOW**2)
         place = np.asarray(state.q if state.target is None else state.target, dtype=float)
@@ -209,22 +200,6 @@ class SharedMotion:
         leap = min(max(float((came - np.where(np.isfinite(says), says, 0.0)).max()), 0.0), _ONE_LEAP)
         self.leaps[k] += min(time / _LEAPS, 1.0) * (leap - self.leaps[k])
 
-    @property
-    def begins(self) -> bool:
-        """Whether nothing has moved yet."""
-        return self._begins and self.shared.sigma == 0.0
-
-    def _hang(self, joints: npt.NDArray[np.intp], away: Array, state: RobotState) -> None:
-        """Follow how far joints that tell no target stand off what they are sent."""
-        sag = self.sag[joints]
-        if self.begins:
-            self.sag[joints] = sag + self._h / (_SAG_TIME + self._h) * (away - sag)
-            return
-        speed = np.abs(np.asarray(state.velocity, dtype=float))
-        most = _SAG_SHARE * self._h * float(speed.max(initial=0.0, where=np.isfinite(speed)))
-        far = self._options.start_tolerance
-        self.sag[joints] = np.clip(sag + np.clip(away - sag, -most, most), -far, far)
-
     def _learn(self, k: int, state: RobotState, moment: float, scale: Array) -> None:
         """Learn the lag of a robot, L ẏ = u − y for a first-order one, and that of its target."""
         joints = self._robots[k].joints
@@ -235,9 +210,7 @@ class SharedMotion:
             return
         self._learning[k] -= self._h
         if self._unknown[k]:
-            self.lag[k] = self._take(
-                k, 0, turned(self._cell, wanted - state.q + self.sag[joints], joints), speed, scale
-            )
+            self.lag[k] = self._take(k, 0, turned(self._cell, wanted - state.q, joints), speed, scale)
             self._learnt = True
         if state.target is not None:
             last = self._targets.get(k)
@@ -343,7 +316,6 @@ class SharedMotion:
 
     def restart(self) -> None:
         """Begin a new way at the shared clock's point, at rest."""
-        self._begins = False
         x, clock, sigma = self.shared.point.copy(), self.clock(), self.shared.sigma
         self.way.restart(x, clock)
         self.shared.restart()

@@ -14,9 +14,6 @@ from coopqp.model.grasp import Grasp
 from coopqp.model.state import CellState
 from coopqp.spatial import Array
 
-#: A smaller sag is not told [rad or m].
-_SEEN = 2e-4
-
 
 @dataclass(frozen=True, eq=False)
 class LoopReport:
@@ -29,9 +26,6 @@ class LoopReport:
         lost_time: time that each robot cost, by name [s].
         slowest_rate: smallest rate of the shared clock; negative on a way back.
         stops: how often all arms came to rest behind a robot that had stopped.
-        stop_reasons: which robot stopped, and where, a sentence each.
-        sag: how far joints of a robot without target stood off their commands at the end, as servos do under load, at
-            most [rad or m].
         stalls: how often the loop stood until its commands had run out; the arms went on from rest.
         periods, late, missed: periods of the loop; those that began half a period late; those left out after overruns.
         lateness: of the periods' beginnings, p50, p99 and the largest [s].
@@ -55,8 +49,6 @@ class LoopReport:
     lost_time: dict[str, float]
     slowest_rate: float
     stops: int
-    stop_reasons: tuple[str, ...]
-    sag: dict[str, float]
     stalls: int
     periods: int
     late: int
@@ -84,9 +76,6 @@ class LoopReport:
         if slow:
             text.append("time lost to " + ", ".join(f"{name}: {t:.2f} s" for name, t in slow.items()))
         text.append(f"slowest rate of the shared clock {self.slowest_rate:.2f}, stops {self.stops}")
-        text += self.stop_reasons
-        if hangs := [f"{name} {1e3 * sag:.1f}" for name, sag in self.sag.items() if sag > _SEEN]:
-            text.append(f"off their commands by {', '.join(hangs)} mrad (or mm), as servos are under load")
         if np.isfinite(self.apart):
             text.append(f"arms apart by {1e3 * self.apart:.2f} mm at most, as measured")
         if np.isfinite(self.largest_force):
