@@ -35,8 +35,8 @@ class Addition:
 
     All joints are cut by the same factor: one of them alone, cut to its own limits, would part the tools. Joints that
     several arms share have one of their own: they move the tools together. Where the target is out of reach, as after
-    each jump of a quick motion's acceleration, and the value leads further away from it than none would, the addition
-    fades to 0. One for lags that the mixture does not know never fades.
+    each jump of a quick motion's acceleration, and the value is off it by more than half of it, the addition fades to 0.
+    One for lags that the mixture does not know never fades.
 
     Args:
         velocity, acceleration: limits of a period (n,): v h and a h² [rad or m].
@@ -131,9 +131,9 @@ class Addition:
         return factors
 
     def _misleads(self, target: Array, most_change: Array) -> bool:
-        """Whether the target is out of reach, and the value leads further away from it than none would."""
+        """Whether the target is out of reach, and the value is off it by more than half of it."""
         away, whole = (float((np.abs(x) / most_change).max()) for x in (target - self.value, target))
-        return away * self._h**2 > _REACH**2 and away > whole
+        return away * self._h**2 > _REACH**2 and away > 0.5 * whole
 
 
 def _largest_step(room: Array, change: Array) -> Array:

@@ -262,6 +262,7 @@ def built_arm(
     if loops:
         refuse_loops(f"arm '{name}'", model, loops, tools, locked)
     if locked:
+        _check_unique(name, model)
         model, shapes = _lock(model, shapes, locked)
     _check_joints(name, model)
     _separate_frames(model)
@@ -329,12 +330,18 @@ def _lock(
     return reduced, {**dict.fromkeys(shapes), **dict(zip(keys, geometries, strict=True))}
 
 
+def _check_unique(name: str, model: pin.Model) -> None:
+    """Joints are found by their names, and the first one is Pinocchio's world, ``universe``."""
+    names = list(model.names)
+    if len(set(names)) != len(names):
+        raise ModelError(f"arm '{name}': joint names are not unique: {names}.")
+
+
 def _check_joints(name: str, model: pin.Model) -> None:
     if model.nv == 0:
         raise ModelError(f"arm '{name}': the model has no moving joint. Lock fewer joints, or check the description.")
     names = list(model.names)
-    if len(set(names)) != len(names):
-        raise ModelError(f"arm '{name}': joint names are not unique: {names}.")
+    _check_unique(name, model)
     odd = [joint for joint in names if has_controls(joint)]
     if odd:
         raise ModelError(f"arm '{name}': the joint name {odd[0]!r} has control characters. Rename it in the model.")

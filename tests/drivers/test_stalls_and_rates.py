@@ -76,8 +76,10 @@ def test_a_stall_that_is_long_ends_the_run(lift):
     report, times, sent = _run(lift, time, simulated_robots(lift.cell, lift.q_start, time, (0.007, 0.032, 0.047)))
     assert not report.finished
     assert "the loop stood for 60.00 s" in report.reason
-    moved = np.abs(sent[-1] - sent[np.searchsorted(times, time.back - 1e-9) - 1])
-    assert moved.max() < 0.05  # to the point at which the arms agree
+    at = int(np.searchsorted(times, time.back - 1e-9)) - 1
+    fastest = np.abs(np.diff(sent[:at], axis=0)).max() / 0.002
+    moved = np.abs(sent[-1] - sent[at])
+    assert moved.max() < 0.06 * fastest  # to the point at which the arms agree, with the longest lag and the lead
 
 
 class _Told:
