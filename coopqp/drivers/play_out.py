@@ -35,8 +35,8 @@ class Addition:
 
     All joints are cut by the same factor: one of them alone, cut to its own limits, would part the tools. Joints that
     several arms share have one of their own: they move the tools together. Where the target is out of reach, as after
-    each jump of a quick motion's acceleration, and the value is off it by more than half of it, the addition fades to 0.
-    One for lags that the mixture does not know never fades.
+    each jump of a quick motion's acceleration, and the value is off it by more than half of it, the addition fades
+    to 0. One for lags that the mixture does not know never fades.
 
     Args:
         velocity, acceleration: limits of a period (n,): v h and a h² [rad or m].
