@@ -62,7 +62,7 @@ def _faults(root: ElementTree.Element) -> Iterator[str]:
         speed = _attribute(joint, "limit", "velocity")
         yield from _numbers(where, joint)
         if speed and float(speed) < 0.0:
-            yield f"{where} has a negative velocity limit, {speed}"
+            yield f"{where}: velocity limit {speed} is negative"
     for link_element in links:
         yield from _numbers(f"link '{link_element.get('name')}'", link_element)
     roots = [name for name in names if name not in children]

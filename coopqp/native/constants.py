@@ -32,6 +32,7 @@ LEAST_PACE = 1e-3  # the increment along the path is the mean over this share of
 MOST_PACES = 4  # answers over another share of the clock, where a step takes another one than expected,
 SAME_PACE = 1e-6  # which differs by more than this of itself,
 OFF_PACE = 2e-8  # and leads further off the path than this [m]
+STANDING = 1e-3  # an increment that grows by less of itself with its share leads to a path that rests
 NEGLIGIBLE = 1e-10  # square of an off-path twist that needs no braking distance [m²/s², rad²/s²]
 SETTLED = 1e-13  # the first step has settled when its change of velocity moves the joints by less [rad²]
 RATE_ROUNDING = 1e-12  # a rate that rises by less stands still: a QP's zero has the solver's rounding

@@ -455,9 +455,10 @@ static Outcome answer(Core *c) {
         const bool other = known && rate * h * pace.farthest > OFF_PACE;
         const double saved = span - way;
         if (other && rate < p->cap - RATE_TOLERANCE) {
-            if (i == 0) { /* to first order, where the path is as far on as the answer leads */
-                const double missed = way * pace.along, slope = saved * pace.size - missed;
-                if (slope * saved > 0.0) way -= missed * saved / slope;
+            if (i == 0) { /* to first order, where the path is as far on as the answer leads; more leads as far if it rests */
+                const double missed = way * pace.along, slope = pace.size - missed / saved;
+                if (slope > STANDING * pace.size) way -= missed / slope;
+                else if (saved < 0.0) way = h;
             } else { /* by the last two answers */
                 const double slope = (saved - last_saved) / (span - last_span);
                 if (slope > 0.0) way = span - saved / slope;

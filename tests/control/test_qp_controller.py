@@ -427,6 +427,23 @@ def test_follow_goes_on_from_a_standstill() -> None:
     assert np.abs(back[-1].q_next - task.q_start).max() < 1e-6
 
 
+@pytest.mark.parametrize("kernel", available_kernels())
+@pytest.mark.parametrize("lift", [0.03, 0.034, 0.038, 0.04, 0.044])
+def test_where_a_path_comes_to_rest_in_a_step_the_clock_goes_on_at_once(lift: float, kernel: str) -> None:
+    """The end of a piece that is much too quick: joints that reach it within a step reach it at any rate, so the full."""
+    task = fast_lift()
+    start = task.path.pose(0.0)
+    there = pin.SE3(start.rotation, start.translation + [0.0, 0.0, lift])
+    path = WaypointPath([start, there, there], durations=[0.01, 0.5], time_law="linear")
+    cell = task.cell.with_limits(acceleration=np.full(task.cell.nv, np.inf))
+    controller = QPController(cell, task.grasp, path, dt=0.008, options=QPOptions(kernel=kernel, preview=None))
+    controller.reset(task.q_start)
+    rates = [controller.step().rate for _ in range(60)]
+    first = next(i for i, rate in enumerate(rates) if rate > 1.0 - 1e-9)
+    assert all(rate < 0.2 for rate in rates[:first]), rates
+    assert all(rate > 1.0 - 1e-9 for rate in rates[first:]), rates
+
+
 # -- singularities that are only passed --------------------------------------------------------------------------------
 
 

@@ -38,7 +38,7 @@ GOOD = (
         (' effort="1"', "", "joint 'j2' needs a limit with effort"),
         ('lower="-1"', 'lower="-pi"', "joint 'j2': limit lower=\"-pi\" is not a number"),
         ('velocity="1"', 'velocity="1,5"', "joint 'j2': limit velocity=\"1,5\" is not a number"),
-        ('velocity="1"', 'velocity="-1"', "joint 'j2' has a negative velocity limit"),
+        ('velocity="1"', 'velocity="-1"', "joint 'j2': velocity limit -1"),
         ('"0 0 0.1"', '"0 0.1"', "joint 'j2': origin xyz=\"0 0.1\" is not 3 numbers"),
         ('"0 0 0.1"', '"0 0 nan"', "joint 'j2': origin xyz=\"0 0 nan\" is not 3 numbers"),
         ('"0 1 0"', '"y"', "joint 'j2': axis xyz=\"y\" is not 3 numbers"),

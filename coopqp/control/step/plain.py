@@ -55,6 +55,7 @@ from coopqp.native.constants import (
     SAID_APART,
     SAME_CLOCK,
     SAME_PACE,
+    STANDING,
     TURN_LENGTH,
 )
 from coopqp.paths.grasp_motion import GraspMotion
@@ -511,9 +512,12 @@ class PlainLoop:
             if rate < given.cap - RATE_TOLERANCE:
                 if before is None:  # to first order, where the path is as far on as the answer leads
                     weighed, change = ((x * _UNIT_OF_TWISTS).ravel() for x in (last, along - last))
-                    missed = way * float(weighed @ change)
-                    slope = saved * float(weighed @ weighed) - missed
-                    way += -missed * saved / slope if slope * saved > 0.0 else 0.0
+                    missed, size = way * float(weighed @ change), float(weighed @ weighed)
+                    slope = size - missed / saved
+                    if slope > STANDING * size:
+                        way -= missed / slope
+                    elif saved < 0.0:  # a larger share leads as far: the path rests
+                        way = h
                 else:  # by the last two answers
                     slope = (saved - before[1]) / (span - before[0]) if span != before[0] else 0.0
                     way = span - saved / slope if slope > 0.0 else way
