@@ -65,7 +65,8 @@ Proposal = _struct(
     "Proposal",
     "dt cap span has_measured cause:Cause watch_cap hold faults reason reason_arm reason_a reason_b outcome new_rate "
     "binding_row binding_side grasp_share path_share parting braked iterations outside relaxed placed late keep "
-    "bindings rows apart chain_holds mismatch_left mismatched has_errors closes made",
+    "bindings rows apart chain_holds mismatch_left mismatched has_errors closes made paces "
+    "last_span last_saved",
 )
 #: The record of a step, before its vectors q, velocity, q_next, off_path, and four numbers per binding limit: kind,
 #: arm, joint, constraint, each −1 if it does not apply.

@@ -433,50 +433,61 @@ struct Pace {
     }
 };
 
-/* The ranked answer; again where it takes the object elsewhere than the path is after its share of the clock. ν is the mean
- * over the share that was expected. Another share that was answered asks for another mean: where the cap makes it, for that
- * over the share itself, else for that over the share at which both will be the same. */
-static Outcome answer(Core *c) {
+/* Whether the answer takes the object elsewhere than the path is after its share of the clock; then the path is looked at
+ * over another one, for the next answer. ν is the mean over the share that was expected. Another share that was answered asks
+ * for another mean: where the cap makes it, for that over the share itself, else for that over the share at which both will be
+ * the same. */
+static int look_at_pace(Core *c) {
     Proposal *p = c->proposal;
-    const double h = p->dt, rest = c->duration - c->loop->clock;
-    double last_span = 0.0, last_saved = 0.0;
+    const double h = p->dt, rest = c->duration - c->loop->clock, rate = p->new_rate, span = p->span;
+    double way = fmin(h * fmax(rate, LEAST_PACE), rest);
+    if (p->paces == MOST_PACES || c->loop->path_lost != 0.0) return 0;
+    if (!(rate > 0.0 && fabs(way - span) > SAME_PACE * way)) return 0;
+    const Vector6 before = c->along;
     Twists own(c->scratch, 6, c->arms);
-    Outcome outcome = answer_along(c);
-    for (int i = 0; i < MOST_PACES && answered(outcome) && c->loop->path_lost == 0.0; i++) {
-        const double rate = p->new_rate, span = p->span;
-        double way = fmin(h * fmax(rate, LEAST_PACE), rest);
-        if (!(rate > 0.0 && fabs(way - span) > SAME_PACE * way)) break;
-        const Vector6 before = c->along;
-        if (grasps_move(c)) own = c->own_along;
-        Pace pace;
-        int known = look_along(c, way);
-        if (!grasps_move(c)) pace.add(before, c->along);
-        else for (int k = 0; k < c->arms; k++) pace.add(own.col(k), c->own_along.col(k));
-        const bool other = known && rate * h * pace.farthest > OFF_PACE;
-        const double saved = span - way;
-        if (other && rate < p->cap - RATE_TOLERANCE) {
-            if (i == 0) { /* to first order, where the path is as far on as the answer leads; more leads as far if it rests */
-                const double missed = way * pace.along, slope = pace.size - missed / saved;
-                if (slope > STANDING * pace.size) way -= missed / slope;
-                else if (saved < 0.0) way = h;
-            } else { /* by the last two answers */
-                const double slope = (saved - last_saved) / (span - last_span);
-                if (slope > 0.0) way = span - saved / slope;
-            }
-            known = look_along(c, fmin(clamp(way, h * LEAST_PACE, h), rest));
+    if (grasps_move(c)) own = c->own_along;
+    Pace pace;
+    int known = look_along(c, way);
+    if (!grasps_move(c)) pace.add(before, c->along);
+    else for (int k = 0; k < c->arms; k++) pace.add(own.col(k), c->own_along.col(k));
+    const bool other = known && rate * h * pace.farthest > OFF_PACE;
+    const double saved = span - way;
+    if (other && rate < p->cap - RATE_TOLERANCE) {
+        if (p->paces == 0.0) { /* to first order, where the path is as far on as the answer leads; more leads as far if it rests */
+            const double missed = way * pace.along, slope = pace.size - missed / saved;
+            if (slope > STANDING * pace.size) way -= missed / slope;
+            else if (saved < 0.0) way = h;
+        } else { /* by the last two answers */
+            const double slope = (saved - p->last_saved) / (span - p->last_span);
+            if (slope > 0.0) way = span - saved / slope;
         }
-        last_span = span, last_saved = saved;
-        if (!(other && known)) {
-            c->along = before, p->span = span;
-            if (grasps_move(c)) c->own_along = own;
-            break;
-        }
-        wish_along(c);
-        corrections(c, h);
-        outcome = answer_along(c);
+        known = look_along(c, fmin(clamp(way, h * LEAST_PACE, h), rest));
     }
+    if (!(other && known)) {
+        c->along = before, p->span = span;
+        if (grasps_move(c)) c->own_along = own;
+        return 0;
+    }
+    p->paces++, p->last_span = span, p->last_saved = saved;
+    wish_along(c);
+    corrections(c, h);
+    return 1;
+}
+
+/* The outcome, or that of answers over other shares of the clock. */
+static Outcome answer_at_pace(Core *c, Outcome outcome) {
+    while (answered(outcome) && look_at_pace(c)) outcome = answer_along(c);
     return outcome;
 }
+
+/* The ranked answer, over the share of the clock that it takes. */
+static Outcome answer(Core *c) {
+    c->proposal->paces = 0.0;
+    return answer_at_pace(c, answer_along(c));
+}
+
+/* The same, from an answer on that is by another solver. */
+static Outcome go_on(Core *c) { return answer_at_pace(c, (Outcome)(int)c->proposal->outcome); }
 
 /* Find the command under a cap; returns an outcome. Nothing of the state changes. */
 static Outcome propose_capped(Core *c) {

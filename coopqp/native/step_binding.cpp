@@ -432,6 +432,13 @@ static int propose(BoundCore &self, long rows, bool again) {
     return outcome;
 }
 
+/* The outcome after an answer by another solver, which may take another share of the clock than was expected. */
+static int go_on(BoundCore &self) {
+    const Outcome outcome = self.run<&Arithmetic::go_on>();
+    raise_interrupt(&self);
+    return outcome;
+}
+
 /* The outcome for the observed sample: rows of bodies in the memory are asked for where they may bind. */
 static int settle(BoundCore &self) {
     const Outcome outcome = self.run<&Arithmetic::settle_step>();
@@ -578,6 +585,7 @@ void bind_step(nb::module_ &m) {
              [](BoundCore &self) { return self.stepper && self.stepper != PyThread_get_thread_ident(); })
         .def("observe", observe)
         .def("propose", propose)
+        .def("go_on", go_on)
         .def("settle", settle)
         .def("read", [](BoundCore &self, double cap) { return self.run<&Arithmetic::read>(cap) != 0; })
         .def("commit", commit)

@@ -39,7 +39,7 @@ namespace BUILD {
 #include "relax.cpp"
 #include "allow.cpp"
 
-const Arithmetic arithmetic = {start,       start_path, observe, propose,             answer,         commit,
+const Arithmetic arithmetic = {start,       start_path, observe, propose,             answer,         go_on,       commit,
                                read_answer, quiet_step, settle_step, move_grasp, mind, minded, carry_and_linearise, least_distance,
                                go_over,     relax,      allow};
 

@@ -316,10 +316,10 @@ class CompiledLoop:
     def try_step(self) -> tuple[float, Array]:
         """σ that a step from here keeps, and the change of velocity, as in the plain loop."""
         self._core.observe(None, None)
-        outcome = self._core.propose(self._put_rows(), False)
+        self._kept(self._core.propose(self._put_rows(), False))
         self._said.clear()
-        proposal = self._proposal
-        rate = min(proposal.cap, proposal.new_rate) if outcome < _FILLED else 0.0
+        p = self._proposal
+        rate = 0.0 if p.braked else min(p.cap, p.new_rate)
         return rate, self.at["command"] - self.at["velocity"]
 
     def memory(self) -> Any:
@@ -507,14 +507,19 @@ class CompiledLoop:
         return report, reason
 
     def _answered(self, outcome: int) -> tuple[SolverReport | None, str]:
-        """Answer an open step. Returns the solver's report, and why the arms brake."""
-        report, reason = None, ""
-        if outcome == _FILLED:
-            outcome, report = self._solve()
-            if is_long(self.at["command"], self.at["guess"], self._proposal.dt):
-                outcome = _OPEN  # the definition linearises again, with any solver
-        if outcome == _OPEN:
-            report, reason = self._by_definition()
+        """Answer an open step. Returns the solver's report, None for the core's own answer, and why the arms brake."""
+        report, reason, p = None, "", self._proposal
+        while outcome in (_FILLED, _OPEN):
+            if outcome == _FILLED:
+                outcome, report = self._solve()
+                if is_long(self.at["command"], self.at["guess"], p.dt):
+                    outcome = _OPEN  # the definition linearises again, with any solver
+            if outcome == _OPEN:
+                report, reason = self._by_definition()
+            paces = p.paces
+            outcome = self._core.go_on()
+            if p.paces > paces:  # answered again by the core
+                report, reason = None, ""
         return report, reason
 
     def _as_measured(self, q: Any) -> Array:
