@@ -21,11 +21,8 @@ from coopqp.checks import read_only
 from coopqp.model.batch_plain import jacobian_slopes
 from coopqp.model.cell import RobotCell, of_cell
 from coopqp.model.grasp import Grasp
-from coopqp.native.constants import FAR_EDGE, LARGE_INVERSE
+from coopqp.native.constants import ADMITTED, FAR_EDGE, LARGE_INVERSE, SINGULAR_FLOOR
 from coopqp.spatial import Array, twist_at
-
-#: Singular values of A_k below this count as this in an inverse: limits and rate keep the command finite.
-SINGULAR_FLOOR = 1e-6
 
 
 class Chain:
@@ -268,7 +265,7 @@ class Chain:
             ranges.append((k, U @ U.T))
         forbidden = sum((np.eye(6) - P for _, P in ranges), start=np.zeros((6, 6)))
         eigenvalues, eigenvectors = np.linalg.eigh(forbidden)
-        return eigenvectors[:, eigenvalues < 1e-8], ranges
+        return eigenvectors[:, eigenvalues < ADMITTED], ranges
 
 
 def jacobian_slope(J: Array, v: Array) -> Array:

@@ -2,35 +2,6 @@
 
 #include "functions.h"
 
-/* Least eigenvalue of a symmetric matrix, and its eigenvector, by Jacobi's rotations. */
-template <typename Symmetric, typename Column>
-static double least_by_rotations(Symmetric G, Column *u) {
-    const int size = Symmetric::RowsAtCompileTime < 0 ? (int)G.rows() : Symmetric::RowsAtCompileTime;
-    Symmetric V = Symmetric::Identity(size, size); /* eigenvectors in its rows */
-    const double trace = G.trace();
-    for (int sweep = 0; sweep < MOST_SWEEPS; sweep++) {
-        double off = 0.0;
-        for (int a = 0; a < size - 1; a++)
-            for (int b = a + 1; b < size; b++) {
-                const double g = G(a, b);
-                off = fmax(off, fabs(g));
-                if (!(fabs(g) > SMALL_ROTATION * trace)) continue;
-                const double half = 0.5 * (G(b, b) - G(a, a)) / g;
-                const double t = copysign(1.0, half) / (fabs(half) + sqrt(half * half + 1.0));
-                const double co = 1.0 / sqrt(t * t + 1.0), s = t * co;
-                const Eigen::JacobiRotation<double> rotation(co, s);
-                G.applyOnTheRight(a, b, rotation);
-                G.applyOnTheLeft(a, b, rotation.transpose());
-                V.applyOnTheLeft(a, b, rotation.transpose());
-            }
-        if (!(off > SMALL_ROTATION * trace)) break;
-    }
-    int least;
-    const double found = G.diagonal().minCoeff(&least);
-    *u = V.row(least).transpose();
-    return fmax(found, 0.0);
-}
-
 /* uᵀ (∂_j J) w of an arm's n joints: a joint turns the joints after it, and those before it turn what it does. */
 static void edge_gradient(const ArmColumns &near, const Vector6 &u, const double *w, int n, double *gradient) {
     const Vector3 force = u.head<3>(), moment = u.tail<3>();
@@ -59,12 +30,19 @@ static ArmColumns columns_at(const Core *c, int k, const Vector3 &way) {
 static double singular_edge(const Core *c, int k, const Vector3 &way, double *gradient) {
     const ArmColumns near = columns_at(c, k, way);
     const int start = (int)c->arm_start[k], n = (int)near.cols();
-    Vector6 u;
-    least_by_rotations(Matrix6(near.lazyProduct(near.transpose())), &u);
-    double w[MOST_JOINTS], square = 0.0;
-    for (int j = 0; j < n; j++) w[j] = near.col(j).dot(u), square += w[j] * w[j];
-    const double size = sqrt(square);
-    for (int j = 0; j < n && size > 0.0; j++) w[j] /= size;
+    Vector6 u = Vector6::Zero();
+    double w[MOST_JOINTS], size = 0.0;
+    if (n < 6) { /* uᵀ = (J w)ᵀ / σ */
+        ArmVector least;
+        size = sqrt(least_by_rotations(ArmSquare(near.transpose().lazyProduct(near)), &least));
+        Eigen::Map<Eigen::VectorXd>(w, n) = least;
+        if (size > 0.0) u = near.lazyProduct(least) / size;
+    } else {
+        least_by_rotations(Matrix6(near.lazyProduct(near.transpose())), &u);
+        for (int j = 0; j < n; j++) w[j] = near.col(j).dot(u), size += w[j] * w[j];
+        size = sqrt(size);
+        for (int j = 0; j < n && size > 0.0; j++) w[j] /= size;
+    }
     edge_gradient(near, u, w, n, gradient + start);
     return size;
 }

@@ -184,9 +184,70 @@ static inline double solve_gram6(pair (&A)[6][3 + PAIRS]) {
 /* Numbers of one arm's joints, and columns of them; they need no heap. */
 using ArmVector = Eigen::Matrix<double, Eigen::Dynamic, 1, 0, MOST_JOINTS, 1>;
 using ArmColumns = Eigen::Matrix<double, 6, Eigen::Dynamic, 0, 6, MOST_JOINTS>;
+using ArmRows6 = Eigen::Matrix<double, Eigen::Dynamic, 6, 0, MOST_JOINTS, 6>;
+using ArmSquare = Eigen::Matrix<double, Eigen::Dynamic, Eigen::Dynamic, 0, MOST_JOINTS, MOST_JOINTS>;
 using OfArm = Eigen::Map<const Matrix6X>;
 
-/* Of one arm with n ≥ 6 joints: velocities v0, v1 for the world twists w0, w1, near the null-space wishes u0, u1 of a
+/* Jacobi's rotations: a symmetric matrix becomes diagonal, its eigenvectors are the rows of V. */
+template <typename Symmetric>
+static void by_rotations(Symmetric &G, Symmetric &V) {
+    const int size = Symmetric::RowsAtCompileTime < 0 ? (int)G.rows() : Symmetric::RowsAtCompileTime;
+    const double trace = G.trace();
+    V = Symmetric::Identity(size, size);
+    for (int sweep = 0; sweep < MOST_SWEEPS; sweep++) {
+        double off = 0.0;
+        for (int a = 0; a < size - 1; a++)
+            for (int b = a + 1; b < size; b++) {
+                const double g = G(a, b);
+                off = fmax(off, fabs(g));
+                if (!(fabs(g) > SMALL_ROTATION * trace)) continue;
+                const double half = 0.5 * (G(b, b) - G(a, a)) / g;
+                const double t = copysign(1.0, half) / (fabs(half) + sqrt(half * half + 1.0));
+                const double co = 1.0 / sqrt(t * t + 1.0), s = t * co;
+                const Eigen::JacobiRotation<double> rotation(co, s);
+                G.applyOnTheRight(a, b, rotation);
+                G.applyOnTheLeft(a, b, rotation.transpose());
+                V.applyOnTheLeft(a, b, rotation.transpose());
+            }
+        if (!(off > SMALL_ROTATION * trace)) break;
+    }
+}
+
+/* Least eigenvalue of a symmetric matrix, and its eigenvector. */
+template <typename Symmetric, typename Column>
+static double least_by_rotations(Symmetric G, Column *u) {
+    Symmetric V;
+    int least;
+    by_rotations(G, V);
+    const double found = G.diagonal().minCoeff(&least);
+    *u = V.row(least).transpose();
+    return fmax(found, 0.0);
+}
+
+/* The (pseudo-)inverse P (n, m) of J (m, n) of least Σ (v/scale)², in which small singular values count as the floor. */
+template <typename Square, typename Columns, typename Units, typename TallRows>
+static void floored_inverse(const Columns &J, const Units &W, TallRows &P) {
+    const Columns A = J * W.asDiagonal();
+    const bool tall = A.rows() > A.cols(); /* A⁺ = V S⁻¹ Uᵀ = V S⁻² Vᵀ Aᵀ = Aᵀ U S⁻² Uᵀ, by the smaller square */
+    const Eigen::Index n = tall ? A.cols() : A.rows();
+    Square G = Square::Zero(n, n), V;
+    if (tall) G = A.transpose().lazyProduct(A);
+    else G = A.lazyProduct(A.transpose());
+    by_rotations(G, V);
+    for (Eigen::Index i = 0; i < n; i++) {
+        const double s = fmax(sqrt(fmax(G(i, i), 0.0)), SINGULAR_FLOOR * SINGULAR_FLOOR);
+        V.row(i) /= sqrt(s * fmax(s, SINGULAR_FLOOR));
+    }
+    const Square inverse = V.transpose().lazyProduct(V);
+    P = A.transpose();
+    if (tall) P = TallRows(inverse.lazyProduct(P));
+    else P = TallRows(P.lazyProduct(inverse));
+    P = W.asDiagonal() * P;
+}
+
+using OfJoints = Eigen::Map<Eigen::VectorXd>;
+
+/* Of one arm with n joints, fewer than six of which follow a part of the twists: velocities v0, v1 for the world twists w0, w1, near the null-space wishes u0, u1 of a
  * redundant arm: v = u + A⁺(w − J u), A⁺ the right inverse of least Σ (v/scale)². Returns the smallest pivot of A, or, of a
  * redundant arm, the root of the smallest pivot of A Aᵀ; 0 if it is singular. */
 static double arm_velocities(const double *jacobian, const double *scale, int n, const Vector6 &w0, const Vector6 &w1,
@@ -194,6 +255,12 @@ static double arm_velocities(const double *jacobian, const double *scale, int n,
     const OfArm J(jacobian, 6, n);
     Rows<> A;
     double least;
+    if (n < 6) {
+        ArmRows6 P;
+        floored_inverse<ArmSquare>(ArmColumns(J), Given(scale, n), P);
+        OfJoints(v0, n) = P.lazyProduct(w0), OfJoints(v1, n) = P.lazyProduct(w1);
+        return INFINITY;
+    }
     if (n == 6) {
         for (int i = 0; i < 6; i++) {
             for (int j = 0; j < 3; j++) A[i][j] = pair{J(i, 2 * j), J(i, 2 * j + 1)};
@@ -217,6 +284,14 @@ static double arm_velocities(const double *jacobian, const double *scale, int n,
         v0[j] = along[0], v1[j] = along[1];
     }
     return sqrt(least);
+}
+
+/* The columns of J of the joints that move the tool of arm k, from the base on. */
+static ArmColumns columns_of_arm(const Core *c, int k, const double *jacobian) {
+    const int n = joints_behind(c, k);
+    ArmColumns J(6, n);
+    for (int j = 0; j < n; j++) J.col(j) = Eigen::Map<const Vector6>(jacobian + 6 * joint_behind(c, k, j));
+    return J;
 }
 
 /* From the Jacobian's point to the point nearest to the axes of the arm's turning joints: (Σ 1 − a aᵀ) way = Σ a × v.

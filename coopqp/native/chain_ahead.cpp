@@ -202,7 +202,7 @@ static void find_edges(const Core *c, int i) {
     for (int k = 0; k < c->arms; k++) {
         const auto [start, n] = joints_of(c, k);
         const Group *g = group_of(c, k);
-        if (follows_way(c, k)) {
+        if (follows_way(c, k) || (n < 6 && !g)) {
             Vector(edges + start, n, 1).setConstant(FAR_EDGE);
             continue;
         }
@@ -210,6 +210,7 @@ static void find_edges(const Core *c, int i) {
         if (g) { /* its least eigenvalue is not less than any of its arms' */
             if (!leads_group(c, k)) continue;
             for (int m = 0; m < g->arms; m++) far &= c->least_pivot[g->arm[m]] > FAR_PIVOT;
+            far |= g->joints < 6 * g->arms;
             for (int j = 0; far && j < g->joints; j++) edges[g->joint[j]] = FAR_EDGE;
             if (!far) find_group_edge(c, *g, sketch_of(c).jacobian, edges);
         } else if (far) {
@@ -367,6 +368,10 @@ static Trial try_knot(Core *c, int last, int made, double span, int iteration) {
     if (!(largest < o->joint_step)) return REJECTED;
     for (int j = 0; j < c->joints; j++) x[j] += step[j];
     if (!(largest < CONVERGED)) return iteration + 1 < MOST_TRIES ? PENDING : REJECTED;
+    if (cannot_follow(c, sketch_of(c).errors)) {
+        c->ahead->blind = 1.0;
+        return REJECTED;
+    }
     if (!bound_by_limits(c, last, made, clock, span)) return REJECTED;
     const Knot *k = knot(c, made);
     if (span > o->shortest && !(span * k->fastest <= 1.5 * o->joint_step)) return REJECTED;
@@ -468,8 +473,10 @@ static int first_knot(Core *c, double clock) {
     if (!path_pose(c, clock, T)) return 0;
     if (grasps_move(c)) place_grasps(c, minimum(clock, c->duration), c->ahead_shift);
     x = c->positions;
-    const int arm = reach_pose(c, T, x);
+    int arm = reach_pose(c, T, x);
     slope.setZero();
+    c->ahead->blind = cannot_follow(c, sketch_of(c).errors);
+    if (c->ahead->blind != 0.0) arm = -1;
     if (arm >= 0) c->least_pivot.setZero();
     if (arm < 0) {
         const Trial found = newton_step(c, clock, 0.0, x, sketch_of(c).step, slope);

@@ -15,6 +15,14 @@ RESIDUE_TOLERANCE = 1e-5  # a solver's excess over a limit up to this is clipped
 MOST_TIGHTENINGS = 3  # answers with rows that the one before broke by the bend of distances
 
 # -- chain -------------------------------------------------------------------------------------------------------------
+SINGULAR_FLOOR = (
+    1e-6  # smaller singular values of A_k count as this in an inverse: limits and rate keep commands finite
+)
+CLOSING = (
+    1e-3  # common twists that few joints lack by less than this share, squared, close no chain: they would be large
+)
+ADMITTED = 1e-8  # twists that few joints lack by less than this, squared, they follow
+FEW_FOLLOW = 1e-4  # few joints follow a path if Newton's method leaves no larger error [m, rad]
 LARGE_INVERSE = 1e4  # entries of an inverse beyond this need a look at the singular values
 SMALLEST_PIVOT = 1e-9  # smallest pivot over the largest entry
 WELL_INVERTED = 1e-3  # smallest pivot of an arm that shares joints, whose own inverse serves

@@ -58,7 +58,7 @@ struct Core {
     WORK_FIELDS(MEMBER)
 #undef MEMBER
     int arms = 0, joints = 0, nq = 0, unknowns = 0, rows = 0, past = 0; /* rows: further rows that fit; past: samples in `history` */
-    int redundant = 0, looks_ahead = 0;
+    int redundant = 0, few = 0, looks_ahead = 0; /* few: some arm has fewer than six joints */
     int groups = 0; /* of arms that share joints */
     const Group *group = nullptr;
     int users_path = 0; /* the path is no one of the library: it may jump or bend where no breakpoint tells */
@@ -85,6 +85,9 @@ struct Core {
      * last one in `evading_slope`; nullptr for none. 0 if there is nothing to do. */
     int (*survey_ahead)(Core *c) = nullptr;
 };
+
+/* Something is known ahead of a step. */
+static inline bool sees(const Core *c) { return c->looks_ahead && c->ahead->blind == 0.0; }
 
 /* Some joint has an acceleration limit. */
 static inline bool accelerates(const Core *c) { return c->options->accelerates != 0.0; }

@@ -11,14 +11,6 @@ using GroupSquare = Eigen::Matrix<double, Eigen::Dynamic, Eigen::Dynamic, 0, MOS
 
 using GroupGram = Eigen::Matrix<double, Eigen::Dynamic, Eigen::Dynamic, 0, 6 * MOST_SHARING, 6 * MOST_SHARING>;
 
-/* The columns of J of the joints that move the tool of arm k, from the base on. */
-static ArmColumns columns_of_arm(const Core *c, int k, const double *jacobian) {
-    const int n = joints_behind(c, k);
-    ArmColumns J(6, n);
-    for (int j = 0; j < n; j++) J.col(j) = Eigen::Map<const Vector6>(jacobian + 6 * joint_behind(c, k, j));
-    return J;
-}
-
 /* J of a group (6 arms, joints): that of all its arms, one below the other. */
 static GroupColumns stacked(const Core *c, const Group &g, const double *jacobian) {
     GroupColumns J = GroupColumns::Zero(6 * g.arms, g.joints);
@@ -180,13 +172,21 @@ static bool arm_by_arm(Core *c, const Group &g, const double *jacobian, const Tw
     return true;
 }
 
+/* right_inverse, or of fewer joints than the tools have motions the one that follows a part of them. */
+static bool inverted(const GroupColumns &J, const GroupVector &scale, GroupRows &P, GroupSquare &N) {
+    if (J.cols() >= J.rows()) return right_inverse(J, scale, P, N);
+    floored_inverse<GroupSquare>(J, scale, P);
+    N.resize(J.cols(), 0);
+    return true;
+}
+
 /* By the inverse of them all: an arm may be at a singularity where its group is not. */
 static bool all_at_once(Core *c, const Group &g, const double *jacobian, const TwoWishes &given, double *const v[2]) {
     const GroupColumns J = stacked(c, g, jacobian);
     GroupRows P;
     GroupSquare N;
     GroupTwists left(6 * g.arms);
-    if (!right_inverse(J, gathered(g, c->scale), P, N)) return false;
+    if (!inverted(J, gathered(g, c->scale), P, N)) return false;
     for (int side = 0; side < 2; side++) {
         const GroupVector wishes = gathered(g, given.u[side]);
         for (int i = 0; i < g.arms; i++) left.segment<6>(6 * i) = given.twist(side, g.arm[i]);
@@ -209,7 +209,7 @@ static int group_velocities(Core *c, const Group &g, const double *jacobian, con
 /* Rows of base and columns of a group, as arm_columns; T has ν, and c_p and the object's directions, which all arms share. */
 static bool group_columns(Core *c, const Group &g, int z, TenTwists T, double cap) {
     const Matrix3 &R = c->pose->R;
-    const int extra = g.joints - 6 * g.arms;
+    const int extra = std::max(g.joints - 6 * g.arms, 0);
     const Given unit(c->unit, c->unknowns);
     const GroupVector scale = gathered(g, c->scale);
     GroupRows P;
@@ -220,7 +220,7 @@ static bool group_columns(Core *c, const Group &g, int z, TenTwists T, double ca
         T.col(9) = turned(R, c->offsets.col(g.arm[i]));
         all.middleRows<6>(6 * i) = T;
     }
-    if (!right_inverse(stacked(c, g, c->jacobian), scale, P, N)) return false;
+    if (!inverted(stacked(c, g, c->jacobian), scale, P, N)) return false;
     Eigen::Matrix<double, Eigen::Dynamic, 10, 0, MOST_GROUP_JOINTS, 10> X = P.lazyProduct(all);
     const GroupSquare per = scale.cwiseAbs2().cwiseInverse().asDiagonal() * N;
     const GroupVector along = per.transpose().lazyProduct(gathered(g, c->null_along));

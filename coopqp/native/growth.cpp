@@ -243,6 +243,7 @@ static int survey_ahead(Core *c) {
 }
 
 static int work_ahead(Core *c) {
+    if (c->ahead->blind != 0.0) return 0;
     const int count = (int)c->ahead->count, made = count + (int)c->ahead->way;
     if (made + 2 + (int)c->ahead->kept > MOST_KNOTS) return 0; /* close_in needs a knot beside the one that is tried */
     if (c->ahead->growing == 0.0) {
@@ -263,7 +264,13 @@ static int work_ahead(Core *c) {
     }
     switch (try_knot(c, made - 1, made, c->ahead->try_span, (int)c->ahead->iteration)) {
     case PENDING: c->ahead->iteration += 1.0; return 1;
-    case REJECTED: reject_trial(c); return 1;
+    case REJECTED:
+        if (c->ahead->blind != 0.0) {
+            rest_growth(c);
+            return 0;
+        }
+        reject_trial(c);
+        return 1;
     case FOUND:
         if (accept_trial(c)) return 1;
         break;

@@ -52,7 +52,7 @@ Watch = _struct(
 Ahead = _struct(
     "Ahead",
     "head count known fresh complete ends free_until begin_at growing try_span iteration way beyond beyond_at kept "
-    "sought kinks seeking closing_in seek_from seek_to seek_whole kink jump_at jump_by steep_by steep_at",
+    "sought blind kinks seeking closing_in seek_from seek_to seek_whole kink jump_at jump_by steep_by steep_at",
 )
 #: A knot beside its vectors: what limits its own cap, and what causes the largest square of the rate there.
 Knot = _struct(
@@ -141,7 +141,8 @@ STATE = _fields(
 )
 WORK = _fields(
     "proposal Proposal; own_pose 12; near_x nv; near_sin nv; near_cos nv; carried 12 * n; jacobian 6 * nv; pose 12; "
-    "along 6; path 6; measured 6; measured_positions nv; measured_carried 12 * n; measured_away 6 * n; "
+    "along 6; path 6; whole_along 6; whole_path 6; whole_own 6 * n; whole_grasp 6 * n; whole_offsets 6 * n; "
+    "ranges 36 * n; admitted 36; measured 6; measured_positions nv; measured_carried 12 * n; measured_away 6 * n; "
     "measured_moved 6 * n; posture_work 7 * nv; common 6; errors 6 * n; grasp 6 * n; offsets 6 * n; left_over 6 * n; "
     "own_along 6 * n; own_world 6 * n; own_way n; ahead_own_way n; "
     "foresees 6 * n; made 6 * n; best_offsets 6 * n; best_foresees 6 * n; best_guess nv; null_along nv; "

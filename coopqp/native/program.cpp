@@ -3,9 +3,6 @@
 
 #include "functions.h"
 
-/* Rows of an arm's joints, of up to MOST_JOINTS columns; they need no heap. */
-using ArmRows6 = Eigen::Matrix<double, Eigen::Dynamic, 6, 0, MOST_JOINTS, 6>;
-using ArmSquare = Eigen::Matrix<double, Eigen::Dynamic, Eigen::Dynamic, 0, MOST_JOINTS, MOST_JOINTS>;
 /* World twists of the object's six directions, and of ν, c_k, c_p and b_k. */
 using TenTwists = Eigen::Matrix<double, 6, 10>;
 /* Rows of joints, then further ones; columns of unknowns. */
@@ -56,7 +53,7 @@ static bool right_inverse(const Columns &J, const Units &W, TallRows &P, Whole &
 /* Rows of base and columns of one arm; z is the first of its null-space unknowns. */
 static void arm_columns(Core *c, int k, int z, const ArmRows6 &P, const ArmSquare &N, const TenTwists &T, double cap) {
     const auto [start, n] = joints_of(c, k);
-    const int extra = n - 6;
+    const int extra = std::max(n - 6, 0);
     auto rows = columns_of(c).middleRows(start, n);
     const Given unit(c->unit, c->unknowns);
     Eigen::Matrix<double, Eigen::Dynamic, 10, 0, MOST_JOINTS, 10> X = P.lazyProduct(T);
@@ -84,7 +81,10 @@ static bool condense(Core *c, double cap) {
     ArmRows6 P;
     ArmSquare N;
     int z = TWIST_AND_SHARES;
-    T.block<3, 3>(0, 0) = T.block<3, 3>(3, 3) = R;
+    if (some_have_few(c))
+        for (int i = 0; i < 6; i++) T.col(i) = turned(R, c->admitted.col(i));
+    else
+        T.block<3, 3>(0, 0) = T.block<3, 3>(3, 3) = R;
     T.col(6) = turned(R, c->along);
     T.col(8) = turned(R, c->path);
     base.head(joints).setZero(), columns.topRows(joints).setZero(); /* joints that no arm moves stand still */
@@ -92,22 +92,25 @@ static bool condense(Core *c, double cap) {
         if (const Group *g = group_of(c, k)) {
             if (!leads_group(c, k)) continue;
             if (!group_columns(c, *g, z, T, cap)) return false;
-            z += g->joints - 6 * g->arms;
+            z += std::max(g->joints - 6 * g->arms, 0);
             continue;
         }
         const auto [start, n] = joints_of(c, k);
         if (follows_way(c, k)) {
             base.segment(start, n) = cap * c->null_along.segment(start, n) + c->null_offset.segment(start, n);
             columns.middleRows(start, n).col(6) = -c->unit[6] * c->null_along.segment(start, n);
-            z += n - 6;
+            z += std::max(n - 6, 0);
             continue;
         }
         if (grasps_move(c)) T.col(6) = turned(R, c->own_along.col(k));
         T.col(7) = turned(R, c->grasp.col(k));
         T.col(9) = turned(R, c->offsets.col(k));
-        if (!right_inverse(OfArm(c->jacobian + 6 * start, 6, n), Given(c->scale + start, n), P, N)) return false;
+        const OfArm J(c->jacobian + 6 * start, 6, n);
+        const Given scale(c->scale + start, n);
+        if (n < 6) floored_inverse<ArmSquare>(ArmColumns(J), scale, P);
+        else if (!right_inverse(J, scale, P, N)) return false;
         arm_columns(c, k, z, P, N, T, cap);
-        z += n - 6;
+        z += std::max(n - 6, 0);
     }
     for (int r = 0; r < c->further_rows; r++) {
         const Eigen::Map<const Eigen::RowVectorXd> G(c->further + joints * r, joints);
@@ -192,6 +195,7 @@ static int read_answer(Core *c, double cap) {
     p->bindings = count;
     for (int j = 0; j < c->joints; j++) c->command[j] = clamp(c->command[j], c->lower[j], c->upper[j]);
     for (int i = 0; i < 6; i++) c->off_path[i] = c->x[i] * c->unit[i];
+    if (some_have_few(c)) c->off_path = Vector6(c->admitted.lazyProduct(c->off_path));
     p->new_rate = clamp(cap - c->x[6] * c->unit[6], 0.0, cap); /* a solver may miss its bounds a little */
     p->grasp_share = 1.0 - c->x[7] * c->unit[7];
     p->path_share = 1.0 - c->x[8] * c->unit[8];

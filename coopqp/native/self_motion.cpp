@@ -18,7 +18,7 @@ static int shrink_units(Core *c, double h) {
     for (int k = 0, z = TWIST_AND_SHARES; k < c->arms; k++) {
         if (!leads_group(c, k)) continue;
         const Group *g = group_of(c, k);
-        const int joints = joints_together(c, k), extra = joints - 6 * (g ? g->arms : 1), at = z;
+        const int joints = joints_together(c, k), extra = std::max(joints - 6 * (g ? g->arms : 1), 0), at = z;
         z += extra;
         const auto motion = x.segment(at, extra);
         const double size = motion.squaredNorm();

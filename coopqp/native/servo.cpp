@@ -155,6 +155,7 @@ static int go_over(Core *c, const double *goal, double speed, double spin, doubl
     Vector6 twist;
     Way w;
     w.goal = *reinterpret_cast<const Pose *>(goal), w.speed = speed, w.spin = spin;
+    if (c->few) return -1;
     stay_near(c, c->positions);
     if (!path_pose(c, clock, w.T) || !path_twist(c, clock, twist)) return -1;
     const bool rests = !((now * twist).cwiseAbs().maxCoeff() > STILL_OBJECT);

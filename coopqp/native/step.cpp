@@ -181,7 +181,7 @@ static double reined_rate(const Core *c, double h) {
     const double share = rate_asked(c), rate = c->loop->rate;
     double fall = c->options->rein_slope;
     if (share >= rate || !moves(c)) return share;
-    if (accelerates(c) && c->looks_ahead && c->ahead->count > 0.0)
+    if (accelerates(c) && sees(c) && c->ahead->count > 0.0)
         fall = preview_brake(c, c->loop->clock, h, rate);
     else if (accelerates(c))
         fall = blind_brake(c);
@@ -214,13 +214,13 @@ static void find_cap(Core *c) {
         c->loop->path_lost = 0.0;
         if (c->looks_ahead) preview_reset(c, c->loop->clock, 1); /* the known horizon is void after the path has failed */
     }
-    if (c->looks_ahead) p->cap = preview_cap(c, c->loop->clock, h, most_rate(c, h));
+    if (sees(c)) p->cap = preview_cap(c, c->loop->clock, h, most_rate(c, h));
     /* A correction that can end within a step need not brake ahead: it would stop and start in turn beside a limit. */
-    if (accelerates(c) && (!c->looks_ahead || (c->loop->correcting != 0.0 && !stops_at_once(c, h)))) {
+    if (accelerates(c) && (!sees(c) || (c->loop->correcting != 0.0 && !stops_at_once(c, h)))) {
         int joint = -1;
         p->keep = brake_share(c, h, &joint);
         p->late = p->keep < 1.0;
-        if (p->late != 0.0 && !c->looks_ahead && p->keep * rate < p->cap) {
+        if (p->late != 0.0 && !sees(c) && p->keep * rate < p->cap) {
             cap_rate(c, p->keep * rate, POSITION, arm_of(c, joint));
             p->cause.joint = joint;
         }
@@ -229,7 +229,7 @@ static void find_cap(Core *c) {
     cap_rate(c, p->watch_cap, by_arm ? OUT_OF_STEP : NONE, by_arm ? (int)p->reason_arm : -1);
     if (rate < 1.0 && c->options->looks_ahead != 0.0) {
         int joint = -1;
-        const double most = c->looks_ahead ? preview_rise(c, c->loop->clock, &joint) : INFINITY;
+        const double most = sees(c) ? preview_rise(c, c->loop->clock, &joint) : INFINITY;
         const double rise = fmin(c->options->rise, most);
         if (rate + rise * h < p->cap - RATE_ROUNDING) {
             const int by_joint = joint >= 0 && !(most > c->options->rise);
@@ -253,10 +253,10 @@ static void brake_correction(Core *c, double keep) {
 
 /* Joint velocities wished for in the null-space: along the elbows or the preview, or by the posture's rule. */
 static void wish(Core *c) {
-    if (c->looks_ahead && led(c)) {
+    if (sees(c) && led(c)) {
         elbow_velocity(c, c->loop->clock, c->proposal->span, c->positions, c->null_along);
         c->null_offset.setZero();
-    } else if (c->looks_ahead) {
+    } else if (sees(c)) {
         preview_reference(c, c->loop->clock, c->null_offset, c->null_along);
         c->null_offset = c->options->posture_gain * (c->null_offset - c->positions);
     } else {
@@ -322,7 +322,7 @@ static Outcome settle(Core *c, double cap) {
     Proposal *p = c->proposal;
     const double h = p->dt;
     p->new_rate = cap, p->binding_row = -1.0, p->bindings = 0.0;
-    p->grasp_share = p->path_share = p->made = 1.0, p->parting = 0.0, p->braked = 0.0;
+    p->grasp_share = p->path_share = 1.0, p->made = !some_have_few(c), p->parting = 0.0, p->braked = 0.0;
     c->off_path.setZero();
     if (c->options->shortcut != 0.0 && nominal_command(c, cap)) {
         if (well_inside(c, h) && further_admissible(c, LIMIT_TOLERANCE)) return NOMINAL;
@@ -359,30 +359,36 @@ static int long_step(const Core *c) {
  * solver. */
 static Outcome settle_again(Core *c, double cap, Outcome outcome, int least) {
     const double h = c->proposal->dt;
+    const bool few = some_have_few(c);
     double smallest = INFINITY;
     for (int done = 0;; done++) {
         if (!answered(outcome) || !twists_made(c, c->command, h)) return OPEN;
         const double miss = missed(c, h);
         const int best = miss < smallest;
         const int last = done == (int)EXTRA_AT_START || (done >= least && miss <= SETTLED);
-        if (best) smallest = miss, c->best_guess = c->guess, c->best_offsets = c->offsets, c->best_foresees = c->foresees;
+        if (best) {
+            smallest = miss, c->best_guess = c->guess, c->best_foresees = c->foresees;
+            c->best_offsets = few ? c->whole_offsets : c->offsets;
+        }
         if (last && best) return outcome;
         c->guess = last ? c->best_guess : c->command;
         linearise_about(c, c->guess);
         if (last) {
             c->offsets = c->best_offsets, c->foresees = c->best_foresees;
+            if (few) c->whole_offsets = c->offsets, follow_part(c);
             outcome = settle(c, cap);
             return answered(outcome) ? outcome : OPEN;
         }
         for (int k = 0; k < c->arms; k++) c->foresees.col(k) = defect(c, k, c->guess);
         c->offsets = c->left_over + c->foresees;
+        if (few) c->whole_offsets = c->offsets, follow_part(c);
         outcome = settle(c, cap);
     }
 }
 
 /* No look-ahead covers the motion: none has one, or arms that give way have left their path. */
 static int brakes_together(const Core *c) {
-    return !c->looks_ahead || gives_way(c);
+    return !sees(c) || gives_way(c);
 }
 
 /* The ranked answer under the cap and the further rows, along the path as it is looked at; returns an outcome. */
@@ -394,6 +400,7 @@ static Outcome answer_along(Core *c) {
     p->rows = c->further_rows;
     c->guess = 2.0 * c->velocity - c->before;
     linearise_about(c, c->guess);
+    if (some_have_few(c)) keep_whole(c), follow_part(c);
     Outcome outcome = settle(c, p->cap);
     if (first && !answered(outcome)) outcome = OPEN;
     if (answered(outcome)) {
@@ -443,13 +450,14 @@ static int look_at_pace(Core *c) {
     double way = fmin(h * fmax(rate, LEAST_PACE), rest);
     if (p->paces == MOST_PACES || c->loop->path_lost != 0.0) return 0;
     if (!(rate > 0.0 && fabs(way - span) > SAME_PACE * way)) return 0;
+    const bool few = some_have_few(c);
     const Vector6 before = c->along;
     Twists own(c->scratch, 6, c->arms);
     if (grasps_move(c)) own = c->own_along;
     Pace pace;
     int known = look_along(c, way);
-    if (!grasps_move(c)) pace.add(before, c->along);
-    else for (int k = 0; k < c->arms; k++) pace.add(own.col(k), c->own_along.col(k));
+    if (!grasps_move(c)) pace.add(few ? c->whole_along : before, c->along);
+    else for (int k = 0; k < c->arms; k++) pace.add((few ? c->whole_own : own).col(k), c->own_along.col(k));
     const bool other = known && rate * h * pace.farthest > OFF_PACE;
     const double saved = span - way;
     if (other && rate < p->cap - RATE_TOLERANCE) {
@@ -496,7 +504,7 @@ static Outcome propose_capped(Core *c) {
     if (p->late != 0.0) brake_correction(c, p->keep);
     if (rest < h * p->cap) p->cap = rest / h; /* the last step ends at the end */
     /* The mean along the path has to see a corner that the step may reach. */
-    const int corner = c->looks_ahead && next_breakpoint(c, clock) <= clock + h * p->cap;
+    const int corner = sees(c) && next_breakpoint(c, clock) <= clock + h * p->cap;
     /* Else at the rate that is expected: it goes on to change as it did. */
     const double expected = c->loop->rate + c->loop->rate_slope * h;
     const double pace = corner ? p->cap : fmin(p->cap, fmax(expected, 0.0));
@@ -508,6 +516,7 @@ static Outcome propose_capped(Core *c) {
     }
     wish_along(c);
     p->rows = c->given_rows;
+    if (c->few) keep_whole(c);
     if (p->has_errors == 0.0) {
         p->outcome = OPEN;
         return OPEN;
@@ -589,14 +598,14 @@ static void write_bindings(Core *c, double *entries, int *position, int *acceler
 
 static Status slow_status(const Core *c, double rate, int position, int acceleration) {
     const int rising = rate > c->loop->rate + RATE_ROUNDING, outside = any_outside(c);
-    const int ends = position || (c->looks_ahead && c->ahead->ends != 0.0);
+    const int ends = position || (sees(c) && c->ahead->ends != 0.0);
     const int arriving = ends && !rising && !outside;
     if (rate >= c->options->blocked_rate * (arriving ? ARRIVING : 1.0)) return SLOWED;
     /* The bound on its rise, or a part of the path that is not yet seen, keeps the rate small without a limit. From rest
      * accelerations do: the rate then grows, or a joint is on its way back in. A rate that is small at a corner grows
      * again after it. */
     const double clock = c->loop->clock, dt = c->options->nominal_dt;
-    if (c->looks_ahead && !ends && rate > 0.0 && next_breakpoint(c, clock - dt) <= clock + dt) return SLOWED;
+    if (sees(c) && !ends && rate > 0.0 && next_breakpoint(c, clock - dt) <= clock + dt) return SLOWED;
     return c->record->bindings == 0.0 || (acceleration && (rising || outside)) ? SLOWED : BLOCKED;
 }
 
@@ -606,7 +615,7 @@ static Status lasting(Core *c, Status found, double rate) {
     double more = 0.0, most = 0.0;
     if (last == BLOCKED && found == SLOWED && c->record->bindings > 0.0)
         more = rate * h, most = STILL_BLOCKED;
-    else if (last == SLOWED && found == TRACKING && !c->looks_ahead)
+    else if (last == SLOWED && found == TRACKING && !sees(c))
         more = h, most = STILL_SLOWED;
     if (more > 0.0 && c->loop->outdated + more <= most) {
         c->loop->outdated += more;
@@ -645,6 +654,8 @@ static void move_on(Core *c, double rate, double clock_next) {
     const Vector6 twist = p->path_share * c->path + c->off_path;
     for (int k = 0; k < c->arms; k++)
         c->predicted.col(k) = h * (p->grasp_share * c->grasp.col(k) + c->offsets.col(k) + twist);
+    for (int k = 0; some_have_few(c) && k < c->arms; k++) /* the reference goes on along all of the path's twist */
+        c->predicted.col(k) += h * rate * (grasps_move(c) ? Vector6(c->own_along.col(k) - c->whole_own.col(k)) : Vector6(c->along - c->whole_along));
     const Vector6 bend = bend_of_way(c->errors.col(0), c->predicted.col(0));
     for (int k = 0; k < c->arms; k++) c->predicted.col(k) += c->errors.col(k) + bend;
     if (p->outcome == QP || accelerates(c)) c->loop->correcting = twist.squaredNorm() > NEGLIGIBLE, c->correcting = twist;

@@ -146,11 +146,15 @@ static bool take_joints(BoundCore *c, const In &start, const In &size, const In 
     int unknowns = TWIST_AND_SHARES;
     for (int k = 0; k < c->arms; k++) {
         const double first = c->arm_start[k] = start.data[k], count = c->arm_size[k] = size.data[k];
-        if (!(first >= 0 && count >= 6 && count <= MOST_JOINTS && first + count <= c->joints)) return false;
-        unknowns += (int)count - 6;
+        if (!(first >= 0 && count >= 1 && count <= MOST_JOINTS && first + count <= c->joints)) return false;
     }
     if (!take_groups(c, of_arm, of_joint)) return false;
-    for (const Group &g : c->all_groups) unknowns += g.shared;
+    for (const Group &g : c->all_groups) unknowns += std::max(g.joints - 6 * g.arms, 0);
+    for (int k = 0; k < c->arms; k++) {
+        const int own = (int)c->arm_size[k], group = (int)c->arm_group[k];
+        if (group < 0) unknowns += std::max(own - 6, 0);
+        c->few |= own + (group < 0 ? 0 : c->all_groups[(size_t)group].shared) < 6;
+    }
     for (int j = 0; j < c->joints; j++) {
         const double at = c->q_index[j] = q_index.data[j], width = (c->continuous[j] = continuous.data[j]) != 0.0 ? 2 : 1;
         if (!(at >= 0 && at + width <= c->nq)) return false;
@@ -165,7 +169,7 @@ static void build(BoundCore *self, const In &arm_start, const In &arm_size, cons
     static const double nowhere[3] = {1.0, 0.0, 0.0};
     const Py_ssize_t arms = arm_start.size, joints = q_index.size, most = 10000;
     const char *unfit = "the sizes do not fit together";
-    check_fit(arms >= 1 && arm_size.size == arms && arm_group.size == arms && joints >= 6 && joints <= most &&
+    check_fit(arms >= 1 && arm_size.size == arms && arm_group.size == arms && joints >= 1 && joints <= most &&
                   joint_group.size == joints && continuous.size == joints &&
                   nq >= joints && nq <= 2 * joints && unknowns >= TWIST_AND_SHARES && unknowns <= TWIST_AND_SHARES + joints &&
                   past >= 1 && past <= 100 * most && given_rows >= 0 && given_rows <= most, unfit);
@@ -250,7 +254,7 @@ static void raise_interrupt(BoundCore *self) {
 }
 
 static long ask_constraints(Core *c, Question question) {
-    const bool blind = c->looks_ahead == 0;
+    const bool blind = !sees(c);
     const int which = CLEAR + (question - ASK_CLEAR);
     bound(c)->guard(false);
     long found = -1;

@@ -17,6 +17,7 @@ namespace BUILD {
 #include "grasps.cpp"
 #include "ways.cpp"
 #include "chain.cpp"
+#include "few_joints.cpp"
 #include "limits.cpp"
 #include "ldp.cpp"
 #include "program.cpp"

@@ -48,7 +48,6 @@ from coopqp.scenarios import (
     at_limit,
     at_singularity,
     dual_arm7,
-    five_joint_pair,
     mixed_cell,
     paper_lift,
     ring,
@@ -474,8 +473,6 @@ def test_both_do_what_an_operator_asks_for(calls: str, acceleration: float) -> N
     assert run.lowest < 0.5 or calls == "aside"
 
 
-#: Scenarios whose arms have fewer than six joints, which the core leaves to the plain definition.
-FEW_JOINTS = ("conveyor", "five_joint_pair", "positioner", "scara_pair")
 #: Cells of other robots, whose meshes are read.
 OTHER_ROBOTS = ("panda_bar", "ur5_table")
 
@@ -483,12 +480,9 @@ OTHER_ROBOTS = ("panda_bar", "ur5_table")
 @pytest.mark.parametrize(
     "name", slow_unless(lambda name: name not in OTHER_ROBOTS, sorted(set(SCENARIOS) - set(LOADED)))
 )
-def test_the_core_takes_every_cell_whose_arms_have_six_joints_or_more(name: str) -> None:
+def test_the_core_takes_every_cell(name: str) -> None:
     task = ready(name)
-    few = min(arm.model.nv for arm in task.cell.arms) < 6
-    assert few == (name in FEW_JOINTS)
-    controller = QPController(task.cell, task.grasp, task.path, dt=task.dt)
-    assert controller.kernel == ("plain" if few else "compiled")
+    assert QPController(task.cell, task.grasp, task.path, dt=task.dt).kernel == "compiled"
 
 
 #: Whether every scenario meets every mode.
@@ -502,7 +496,7 @@ def every_run() -> Iterator[Any]:
 
     Sanitized: those in three cells that it has not in short.
     """
-    for i, name in enumerate(sorted(set(SCENARIOS) - {*LOADED, *PROGRAMS, *FEW_JOINTS})):
+    for i, name in enumerate(sorted(set(SCENARIOS) - {*LOADED, *PROGRAMS})):
         for k, mode in enumerate(MODES):
             if name in IN_FULL or (i + k) % 3 == 0 or NIGHTLY:
                 sanitized = name in ("paper_lift", "mixed_cell", "at_limit") and mode not in IN_SHORT
@@ -1096,11 +1090,28 @@ def test_both_agree_where_the_chain_has_to_part() -> None:
     assert parted >= 0.0
 
 
+FEW_JOINTS = ("conveyor", "five_joint_pair", "positioner", "scara_pair")
+
+
 @pytest.mark.core
-def test_arms_with_few_joints_run_by_the_plain_definition() -> None:
-    task = five_joint_pair()
-    controller = QPController(task.cell, task.grasp, task.path, dt=0.01, options=QPOptions(kernel="compiled"))
-    assert controller.kernel == "plain"
+@pytest.mark.parametrize("name", FEW_JOINTS)
+def test_both_agree_on_arms_with_few_joints(name: str) -> None:
+    for mode in MODES if NIGHTLY else IN_SHORT:
+        run_in(mode, ready(name), 100)
+
+
+@pytest.mark.core
+@pytest.mark.parametrize("acceleration", [8.0, np.inf])
+@pytest.mark.parametrize("name", ["five_joint_pair", "scara_pair"])
+def test_both_agree_where_few_joints_cannot_follow_the_path(name: str, acceleration: float) -> None:
+    """Nothing is known ahead of a path that leaves what the arms can do."""
+    task = limited_once(SCENARIOS[name], acceleration)
+    path = LinePath.displaced(
+        task.path.pose(0.0), translation=(0.03, 0.05, 0.06), rotation=(0.3, 0.0, 0.1), duration=2.0
+    )
+    run = pair(dataclasses.replace(task, path=path), dt=0.008)
+    run.same = DISTURBED
+    run.run(150)
 
 
 # -- at random, in short -----------------------------------------------------------------------------------------------

@@ -468,7 +468,7 @@ def test_the_largest_least_distance_program_has_room(make: Callable[[], Scenario
 
 @pytest.mark.parametrize(
     ("field", "value"),
-    [("arm_start", -1.0), ("arm_start", 13.0), ("arm_start", np.nan), ("arm_size", 5.0), ("arm_size", 1e9),
+    [("arm_start", -1.0), ("arm_start", 13.0), ("arm_start", np.nan), ("arm_size", 0.0), ("arm_size", 1e9),
      ("arm_size", np.nan), ("arm_size", 17.0), ("arm_group", 0.0), ("arm_group", 1.0), ("arm_group", 1e9),
      ("q_index", -1.0), ("q_index", 18.0), ("q_index", np.nan)],
 )  # fmt: skip

@@ -609,6 +609,7 @@ class CompiledLoop:
             "stand_in": found.stand_in if given.first else given.v,
         }.items():  # fmt: skip
             at[name][:] = np.ravel(value)
+        at["along" if terms.along.ndim == 1 else "own_along"][:] = terms.along.ravel()
         p.new_rate, p.grasp_share, p.path_share = answer.rate, answer.grasp_share, answer.path_share
         p.parting, p.braked, p.binding_row, p.bindings = answer.chain, answer.braked, -1.0, len(answer.active)
         p.iterations, p.closes, p.made = answer.report.iterations, found.closes, found.makes_up
@@ -619,6 +620,8 @@ class CompiledLoop:
     def _given(self) -> StepInput:
         p, loop = self._proposal, self._loop
         at = {name: self.at[name].copy() for name in _GIVEN}
+        if self._chain.deficient:  # before what their joints cannot follow is left out
+            at["along"], at["own_along"] = self.at["whole_along"].copy(), self.at["whole_own"].copy()
         predicted, foreseen, asked = (at[name].reshape(-1, 6) for name in ("predicted", "foreseen", "asked_shift"))
         known, pose = bool(loop.has_predicted), _pose_of(at["pose"])
         carried = self._chain.carried(self.q)

@@ -140,8 +140,8 @@ def _arms(chain: Chain) -> tuple[list[int], list[int]]:
     if any(len(c) > MOST_JOINTS for c in chain.moving_columns):
         raise NotForTheCore(f"an arm has more than {MOST_JOINTS} joints")
     columns = [np.setdiff1d(c, chain.cell.shared) for c in chain.moving_columns]
-    if any(len(c) < 6 for c in columns):
-        raise NotForTheCore("an arm has fewer than six joints of its own")
+    if any(len(c) == 0 for c in columns):
+        raise NotForTheCore("an arm has no joints of its own")
     if any((np.diff(c) != 1).any() for c in columns):
         raise NotForTheCore("the joints of an arm do not follow each other")
     return [int(c[0]) for c in columns], [len(c) for c in columns]

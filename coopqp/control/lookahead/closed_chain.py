@@ -25,6 +25,7 @@ from coopqp.native.constants import (
     BRANCH_WAY,
     CONVERGED,
     ELBOW_GAIN,
+    FEW_FOLLOW,
     FINE_BEND,
     FINE_CELL,
     JUST_BEFORE,
@@ -35,9 +36,6 @@ from coopqp.native.constants import (
 )
 from coopqp.paths.guarded import GuardedPath
 from coopqp.spatial import Array, for_twists
-
-#: Arms with fewer than six joints follow a path if Newton's method leaves no larger error [m, rad].
-_FOLLOWED = 1e-4
 
 
 class KnotBounds(NamedTuple):
@@ -224,7 +222,7 @@ class ClosedChainAhead:
     def _beyond_few_joints(self, errors: Array) -> bool:
         """Whether the remaining errors (N, 6) are too large for arms with fewer than six joints."""
         few = self._chain.deficient
-        return bool(few) and not np.abs(errors[list(few)]).max() < _FOLLOWED
+        return bool(few) and not np.abs(errors[list(few)]).max() < FEW_FOLLOW
 
     def _newton_step(self, clock: float, q: Array, *, before: float = JUST_BEFORE) -> _NewtonStep | None:
         """Newton's step from ``q`` to the pose at ``clock``, and q′ there; None if singular.

@@ -16,6 +16,7 @@ from coopqp.control.operator.way import Way
 from coopqp.control.step.constraint_set import Constraints
 from coopqp.control.step.verdict import cause_of, too_close
 from coopqp.model.cell import RobotCell
+from coopqp.model.chain import moving_columns
 from coopqp.model.grasp import Grasp
 from coopqp.model.limits import BindingLimit, LimitKind
 from coopqp.model.shapes import NearPair
@@ -70,6 +71,9 @@ class RecordReader:
         #: Statuses of steps, in the order of the core's codes.
         self.statuses = tuple(way.status(status) for status in STATUSES)
         self._solver, self._constraints = solver, constraints
+        self._restricted = tuple(
+            cell.arm_names[k] for k, columns in enumerate(moving_columns(cell)) if len(columns) < 6
+        )
         self._force_limit, self._dt_range = supervision.force_limit, [share * dt for share in supervision.dt_range]
         self._q = layout.SIZES["Record"]
         velocity = self._q + cell.nq
@@ -142,9 +146,11 @@ class RecordReader:
     def _read_given_up(self, s: Any, r: Array) -> GivenUp:
         off_path = tuple(r[self._off_path : self._off_path + 6].tolist())
         lost, parting = [1.0 - share for share in (s.grasp_share, s.path_share, s.rate)], s.parting
-        if not (any(lost) or any(off_path) or parting):
+        if not (any(lost) or any(off_path) or parting or self._restricted):
             return NOTHING
-        return GivenUp(chain=parting, grasp=lost[0], off_path=off_path, path=lost[1], rate=lost[2])
+        return GivenUp(
+            chain=parting, grasp=lost[0], off_path=off_path, path=lost[1], rate=lost[2], restricted=self._restricted
+        )
 
     def _read_solver(self, s: Any, r: Array) -> SolverReport:
         if s.outcome != layout.OUTCOMES.index("QP"):

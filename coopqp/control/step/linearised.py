@@ -16,11 +16,8 @@ from coopqp.control.step.priorities import StepAnswer, StepSolver
 from coopqp.control.step.velocity_bounds import VelocityBox
 from coopqp.control.step.views import errors_after, ways_between
 from coopqp.model.chain import Chain
-from coopqp.native.constants import BENT_STEP, EXTRA_AT_START, LONG_STEP, SETTLED
+from coopqp.native.constants import BENT_STEP, CLOSING, EXTRA_AT_START, LONG_STEP, SETTLED
 from coopqp.spatial import Array
-
-#: Common twists that arms with few joints lack by less than this share, squared, close no chain: they would be large.
-CLOSING = 1e-3
 
 
 @dataclass(eq=False)
