@@ -3,7 +3,10 @@
 The lateness e of an arm is the time along the way by which it is behind the point where all arms should be. The clock
 runs at w = 1 − g (e − e₀)⁺ − I, with an integral I that leaks; with w ≈ 0 and an arm at rest the clock goes back until
 the others stand where it stands. e₀ is 1 ms and what a small distance makes of it: no servo stands exactly where it
-should, and near the end of a way a little distance is much time. Without that the clock would wait there for ever.
+should, and near the end of a way a little distance is much time.
+
+An arm that stands while the clock stands has stopped if it fell behind: its commands went on, and it did not. Else it
+hangs off its commands, as servos do under load; waiting brings it no nearer, and the clock goes on without counting it.
 """
 
 from __future__ import annotations
@@ -24,6 +27,8 @@ UPTAKE = 0.06
 SLOWEST, FASTEST = -0.5, 1.0
 #: An arm stands below the first rate, and moves again above the second; the clock stands below the third.
 STANDS, MOVES, CLOCK_STANDS = 0.05, 0.15, 0.01
+#: An arm has stopped where the way that it lacks makes up this share of its lateness.
+FELL = 0.5
 #: The way back to an arm that stopped: gain [1/s], and how far from it the others stay [s].
 BACK_GAIN, BACK_FREE = 12.0, 1e-4
 #: Filter of an arm's own rate [s].
@@ -42,28 +47,31 @@ class FollowSlowest:
         rate: w, the rate that the slowest arm allows; negative on the way back.
         slowest: index of the arm that is furthest behind.
         stopped: an arm has stopped.
+        hangs: arms stand off their commands at rest, and none has stopped: the clock waits until that is taken into
+            account.
         lost: time that each arm cost (arms,) [s].
     """
 
     def __init__(self, arms: int, *, period: float) -> None:
         self._h = period
-        self.rate, self.slowest, self.stopped = 1.0, 0, False
+        self.rate, self.slowest, self.stopped, self.hangs = 1.0, 0, False, False
         self.lost = np.zeros(arms)
         self._integral = 0.0
         self._own = np.ones(arms)
 
     def restart(self) -> None:
         """Forget what was behind, at rest."""
-        self.rate, self.stopped, self._integral = 1.0, False, 0.0
+        self.rate, self.stopped, self.hangs, self._integral = 1.0, False, False, 0.0
         self._own[:] = 1.0
 
-    def step(self, lateness: Array, allowed: Array, own: Array, said: Array) -> float:
+    def step(self, lateness: Array, allowed: Array, own: Array, fell: Array, said: Array) -> float:
         """Take what is known of the arms; return w.
 
         Args:
             lateness: e of each arm (arms,) [s]; NaN where it is not known.
             allowed: the lateness of an arm that stands as exactly as servos do (arms,) [s].
             own: the rate at which each arm goes along the way (arms,).
+            fell: by how much its commands went further along the way than each arm of late (arms,) [s].
             said: whether each arm says that it has stopped (arms,).
         """
         known = np.isfinite(lateness)
@@ -85,9 +93,12 @@ class FollowSlowest:
             self.stopped = True
         elif self.stopped:
             self.stopped = own_rate < MOVES
-        else:
-            self.stopped = w < CLOCK_STANDS and own_rate < STANDS and over > 0.0
+        elif self.hangs or (w < CLOCK_STANDS and own_rate < STANDS and over > 0.0):
+            self.stopped = not self.hangs and bool(fell[self.slowest] >= FELL * e)
+            self.hangs = not self.stopped and e > FREE
+            w, self._integral = 0.0, 0.0
         if self.stopped:
+            self.hangs = False
             if said.any():
                 told = np.where(said & known, lateness, -np.inf)
                 self.slowest = int(np.argmax(told)) if (said & known).any() else int(np.argmax(said))

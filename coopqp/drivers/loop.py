@@ -30,6 +30,7 @@ from coopqp.drivers.start import begin, connect, stand, tell_targets, unready
 from coopqp.drivers.timing import LoopTime, MonotonicTime
 from coopqp.drivers.watch import RobotWatch
 from coopqp.errors import InvalidInputError
+from coopqp.model.cell import slides
 from coopqp.model.state import CellState
 from coopqp.spatial import Array, as_placement
 
@@ -43,6 +44,8 @@ _SLOW_END = 1e-3
 _LEAPS, _MAY_LEAP = 1.0, 0.05
 #: The run ends where the arms stand for this time on a way that goes on, and less than this of it was gone [s].
 _STANDSTILL, _GONE = 5.0, 1e-3
+#: A joint that hangs further than this off its commands at rest is named where the object does not go on [rad or m].
+_HANGS = 5e-4
 #: Every how many periods the distance of the arms is looked at.
 _LOOK = 10
 
@@ -229,12 +232,13 @@ class ControlLoop(LoopCalls):
         self._arrived = math.nan
         self._missing: Counter[str] = Counter()
         self._stalls, self._rest = 0, 0.0
+        self._stop_reasons: list[str] = []
         self._looks: list[Array] = []
         self._looked = 0
         self._force, self._slowest, self._standing = math.nan, 1.0, False
         self._moved = self._rested = False
         self._now = self._ramp = began = time.now()
-        self._gone = began, 0.0
+        self._gone = began, 0.0, 0
         self._ramp_time = self.options.ramp_time
         self._beaten = max(self._beaten, began)
         deadline, periods, missed, late = began, 0, 0, []
@@ -281,6 +285,9 @@ class ControlLoop(LoopCalls):
             deadline, most=ramp, said=np.zeros_like(said) if self._standing else said, stand=braking or stood
         )
         self._slowest = min(self._slowest, motion.law.rate)
+        if motion.law.hangs and np.abs(motion.sag).max() > self.options.start_tolerance:
+            most = f"at most {1e3 * self.options.start_tolerance:g} are followed"
+            self._end(f"the arms wait: {self._hanging(motion.sag)} ({most})", failed=True)
         before = motion.before
         for watch in self.watches:
             joints = watch.robot.joints
@@ -302,7 +309,20 @@ class ControlLoop(LoopCalls):
         self._end_standstill(now)
         self._still = self._still + self.period if self._holds() else 0.0
         if self._still > self.options.give_up_after and self._step is not None:
-            self._end(self._step.explain(), failed=True)
+            hanging = self._hanging(self._measured - motion.sent) if self._step.status is Status.HOLDING else ""
+            self._end(" ".join([self._step.explain(), hanging]).strip(), failed=True)
+
+    def _hanging(self, away: Array) -> str:
+        """The joint that hangs furthest off its commands at rest, of all (nv,) [rad or m]; empty where none does."""
+        far = np.abs(turned(self.cell, np.where(np.isfinite(away), away, 0.0)))
+        j = int(np.argmax(far))
+        if far[j] < _HANGS:
+            return ""
+        unit = "mm" if slides(self.cell)[j] else "mrad"
+        return (
+            f"joint {self.cell.joint_names[j]} hangs {1e3 * far[j]:.1f} {unit} off its commands: look at its load and "
+            "the gains of its servo"
+        )
 
     def _tell(self, step: ControlStep, sent: Array, clock: float) -> None:
         """Tell the recorder and all of :attr:`shows` what a period did."""
@@ -322,7 +342,14 @@ class ControlLoop(LoopCalls):
             name = self.robots[k].name
             self._end(f"the states of robot '{name}' leap faster than it can move: {_ANOTHER}", failed=True)
         if self._ending or self._standing or abs(motion.shared.sigma - self._gone[1]) > _GONE:
-            self._gone = now, motion.shared.sigma
+            self._gone = now, motion.shared.sigma, self._stalls
+        elif now - self._gone[0] > _STANDSTILL and self._stalls > self._gone[2]:
+            stalls = self._stalls - self._gone[2]
+            self._end(
+                f"the arms stood for {_STANDSTILL:g} s, as the loop stood {stalls} times until its commands had run "
+                "out: leave it more of the machine",
+                failed=True,
+            )
         elif now - self._gone[0] > _STANDSTILL:
             behind = self.robots[motion.law.slowest].name
             leaps = motion.leaps[motion.law.slowest] > _MAY_LEAP
@@ -429,7 +456,12 @@ class ControlLoop(LoopCalls):
         """All stand where the slowest stands: the controller begins again there, paused."""
         motion = self._motion
         assert motion is not None
-        clock, self._stopped_robot = motion.clock(), self.robots[motion.law.slowest].name
+        watch = self.watches[motion.law.slowest]
+        clock, self._stopped_robot = motion.clock(), watch.robot.name
+        says = f"says {watch.condition().value}" if watch.condition() in STANDS else "does not say that it stands"
+        self._stop_reasons.append(
+            f"robot '{watch.robot.name}' did not follow its commands at {clock:.2f} s of the path, and {says}"
+        )
         q = self.cell.configuration_of(motion.shared.point)
         self.controller.pause()
         self.controller.reset(q, clock=clock)
@@ -477,9 +509,10 @@ class ControlLoop(LoopCalls):
             away = wanted.T_world_tool[k].actInv(stands.T_world_tool[k])
             far, turned_by = (float(np.linalg.norm(part)) for part in (away.translation, pin.log3(away.rotation)))
             if far > o.end_tolerance_m or turned_by > o.end_tolerance_rad:
+                hanging = self._hanging(self._measured - motion.sent)
                 return (
                     f"the path is at its end, but the tool of arm {arm} stands {1e3 * far:.1f} mm and "
-                    f"{np.rad2deg(turned_by):.2f}° from where it is sent, as measured"
+                    f"{np.rad2deg(turned_by):.2f}° from where it is sent, as measured" + (hanging and f"; {hanging}")
                 )
         return ""
 
@@ -499,6 +532,7 @@ class ControlLoop(LoopCalls):
             lost_time=dict(zip(names, motion.law.lost.tolist(), strict=True)),
             slowest_rate=self._slowest,
             stops=self._stops,
+            stop_reasons=tuple(self._stop_reasons),
             stalls=self._stalls,
             periods=periods,
             late=int((late > 0.5 * self.period).sum()),

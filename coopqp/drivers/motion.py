@@ -28,6 +28,10 @@ _SLOW = 5e-3
 RESOLUTION = 1e-4
 #: Leaps between states are averaged over this time [s], and one counts as this share of the speed limits at most.
 _LEAPS, _ONE_LEAP = 0.5, 10.0
+#: How far robots and their commands went is forgotten in this time [s].
+_OF_LATE = 0.5
+#: Off what it hangs at rest is taken in this time [s].
+_SAG_TIME = 0.03
 #: Periods of the history of the shared clock.
 _HISTORY = 1024
 
@@ -53,6 +57,8 @@ class SharedMotion:
         lag: lag of each robot, as told or learnt so far (robots,) [s].
         sent, before: the commands of the last period and of the one before (nv,) [rad or m].
         lateness: of each robot along the way (robots,) [s]; NaN while it is not known.
+        sag: how far joints hang off their commands at rest, as servos do under load (nv,) [rad or m]: no lateness.
+        away: how far joints are from where they should be (nv,) [rad or m].
         leaps: by how much faster each robot's joints go from state to state than it says, as a share of their speed
             limits: the mean of the last half second (robots,).
     """
@@ -92,11 +98,13 @@ class SharedMotion:
         self._lead = lead
         self._wait = lead + float(delay.max(initial=0.0))
         self.lateness = np.full(n, np.nan)
+        self.sag, self.away = np.zeros(cell.nv), np.zeros(cell.nv)
         #: The lateness that RESOLUTION makes of each robot.
         self._allowed = np.zeros(n)
-        #: The rate at which each robot goes along the way, and where it was seen last, at what time.
-        self._own = np.zeros(n)
-        self._seen: list[tuple[float, Array] | None] = [None] * n
+        #: The rate at which each robot goes along the way, how far it and its commands went of late [s], and where both
+        #: were seen last, at what time.
+        self._own, self._went = np.zeros(n), np.zeros((2, n))
+        self._seen: list[tuple[float, Array, Array] | None] = [None] * n
         self.leaps = np.zeros(n)
         self._told: list[RobotState | None] = [None] * n
         self._learnt = False
@@ -164,14 +172,16 @@ class SharedMotion:
         p, rate = self.expected(aligned)
         slope = self.way.slope(p)[joints]
         away = turned(self._cell, q - self._commanded(k, 1, aligned), joints)
-        seen = _behind(away, slope, scale, _SLOW)
         off: Array = away + _behind(away, slope, scale, 1e-2 * _SLOW) * slope
         learns = self._learning[k] > 0.0
         if learns:
             self._learn(k, state, moment, scale)
+        place, wanted = np.asarray(state.q, dtype=float), self._commanded(k, 1, moment)
         if state.target is not None:
-            from_target = turned(self._cell, state.target - self._commanded(k, 2, moment), joints)
-            seen = _behind(from_target, slope, scale, _SLOW)
+            place, wanted = np.asarray(state.target, dtype=float), self._commanded(k, 2, moment)
+            away = turned(self._cell, place - wanted, joints)
+        self.away[joints] = away
+        seen = _behind(away - self.sag[joints], slope, scale, _SLOW)
         if learns and seen > 0.0:
             # What may be lag is no lateness yet; an arm that stops is soon behind more than that.
             unknown = LONGEST_LAG if self._unknown[k] else self.lag[k]
@@ -180,12 +190,15 @@ class SharedMotion:
         self.lateness[k] = seen
         speed = math.sqrt(float(slope @ (scale * slope)))
         self._allowed[k] = RESOLUTION * speed / (speed * speed + _SLOW**2)
-        place = np.asarray(state.q if state.target is None else state.target, dtype=float)
         last = self._seen[k]
         if last is not None and moment > last[0]:
-            moved = turned(self._cell, place - last[1], joints) / (moment - last[0])
-            self._own[k] = -_behind(moved, slope, scale, _SLOW)
-        self._seen[k] = moment, place.copy()
+            time, moved = moment - last[0], turned(self._cell, place - last[1], joints)
+            own = -_behind(moved, slope, scale, _SLOW)
+            asked = -_behind(wanted - last[2], slope, scale, _SLOW)
+            self._own[k] = own / time
+            self._went[:, k] *= max(1.0 - time / _OF_LATE, 0.0)
+            self._went[:, k] += own, asked
+        self._seen[k] = moment, place.copy(), wanted
         self._find_leaps(k, state)
         return off
 
@@ -210,7 +223,8 @@ class SharedMotion:
             return
         self._learning[k] -= self._h
         if self._unknown[k]:
-            self.lag[k] = self._take(k, 0, turned(self._cell, wanted - state.q, joints), speed, scale)
+            away = turned(self._cell, wanted - state.q + self.sag[joints], joints)
+            self.lag[k] = self._take(k, 0, away, speed, scale)
             self._learnt = True
         if state.target is not None:
             last = self._targets.get(k)
@@ -243,7 +257,12 @@ class SharedMotion:
             said: which robots say that they have stopped (robots,).
             stand: brake, and stay where the brake ends.
         """
-        rate = self.law.step(self.lateness, self._allowed, self._own, said)
+        # What moves away from its commands where they stand did not fall behind.
+        fell = np.minimum(self._went[1] - self._went[0], self._went[1])
+        rate = self.law.step(self.lateness, self._allowed, self._own, fell, said)
+        if self.law.hangs:
+            known = self.joints(np.isfinite(self.lateness))
+            self.sag += self._h / (_SAG_TIME + self._h) * known * (self.away - self.sag)
         play_out, shared = self.play_out, self.shared
         if stand:
             wanted = 0.0
@@ -321,6 +340,7 @@ class SharedMotion:
         self.shared.restart()
         self.play_out.parameter -= sigma
         self._past[:, 0] -= sigma
+        self._went[:] = 0.0
         self.law.restart()
 
 

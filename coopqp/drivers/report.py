@@ -26,6 +26,7 @@ class LoopReport:
         lost_time: time that each robot cost, by name [s].
         slowest_rate: smallest rate of the shared clock; negative on a way back.
         stops: how often all arms came to rest behind a robot that had stopped.
+        stop_reasons: which robot stopped, and where on the path, a sentence each.
         stalls: how often the loop stood until its commands had run out; the arms went on from rest.
         periods, late, missed: periods of the loop; those that began half a period late; those left out after overruns.
         lateness: of the periods' beginnings, p50, p99 and the largest [s].
@@ -49,6 +50,7 @@ class LoopReport:
     lost_time: dict[str, float]
     slowest_rate: float
     stops: int
+    stop_reasons: tuple[str, ...]
     stalls: int
     periods: int
     late: int
@@ -76,6 +78,7 @@ class LoopReport:
         if slow:
             text.append("time lost to " + ", ".join(f"{name}: {t:.2f} s" for name, t in slow.items()))
         text.append(f"slowest rate of the shared clock {self.slowest_rate:.2f}, stops {self.stops}")
+        text += self.stop_reasons
         if np.isfinite(self.apart):
             text.append(f"arms apart by {1e3 * self.apart:.2f} mm at most, as measured")
         if np.isfinite(self.largest_force):

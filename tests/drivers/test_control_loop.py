@@ -115,7 +115,8 @@ def _turned_back(law, offset, seconds):
     for _ in range(round(seconds / h)):
         frozen = speeds[0] * (clock - 1.0)
         lateness = away * np.array([frozen, offset])
-        rate = law.step(lateness, RESOLUTION * away, np.array([0.0, law.rate]), np.zeros(2, dtype=bool))
+        own, fell = np.array([0.0, law.rate]), away * np.array([frozen, 0.0])
+        rate = law.step(lateness, RESOLUTION * away, own, fell, np.zeros(2, dtype=bool))
         clock += h * rate
     return clock
 
@@ -131,9 +132,9 @@ def test_the_way_back_ends_at_the_arm_that_stopped_and_not_behind_an_inexact_one
 def test_a_lateness_that_is_not_known_leaves_the_way_back_to_the_others():
     law, nobody = FollowSlowest(2, period=0.002), np.zeros(2, dtype=bool)
     for _ in range(100):
-        law.step(np.array([0.1, 0.0]), np.zeros(2), np.zeros(2), nobody)
+        law.step(np.array([0.1, 0.0]), np.zeros(2), np.zeros(2), np.array([0.1, 0.0]), nobody)
     assert law.stopped
-    law.step(np.array([np.nan, 0.05]), np.zeros(2), np.zeros(2), nobody)
+    law.step(np.array([np.nan, 0.05]), np.zeros(2), np.zeros(2), np.array([0.1, 0.05]), nobody)
     assert law.slowest == 1
     assert law.rate < 0.0
 

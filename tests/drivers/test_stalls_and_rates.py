@@ -1,4 +1,4 @@
-"""A loop that stands for a while goes on from rest; robots whose states or clocks are not as told are named."""
+"""A loop that stands for a while goes on from rest; robots whose states, clocks or servos are not as told are named."""
 
 from __future__ import annotations
 
@@ -9,11 +9,11 @@ import pytest
 from marks import slow_but_first
 from robots import simulated_robots
 
-from coopqp import QPController
+from coopqp import QPController, QPOptions, SupervisionOptions
 from coopqp.drivers import Command, ControlLoop, DriverError, ManualTime
 from coopqp.scenarios import paper_lift
 
-pytestmark = pytest.mark.filterwarnings("ignore::coopqp.errors.StiffnessWarning")
+pytestmark = pytest.mark.filterwarnings("ignore::coopqp.errors.StiffnessWarning", "ignore::coopqp.errors.StartWarning")
 _ACCELERATION = 10.0
 
 
@@ -41,18 +41,24 @@ class _LeapingTime:
 
 
 class _Sent:
+    """What was sent; it ends a run whose arms stand behind a robot that stopped, or that goes on for too long."""
+
     def __init__(self):
-        self.times, self.sent = [], []
+        self.times, self.sent, self.loop = [], [], None
 
     def take(self, moment, measured, sent, step, clock):
         self.times.append(moment)
         self.sent.append(sent.copy())
+        if self.loop.stands or len(self.times) > 10_000:
+            self.loop.stop("the test ends it")
 
 
 def _run(lift, time, drivers, **options):
     recorder = _Sent()
-    controller = QPController(lift.cell, lift.grasp, lift.path, dt=0.002)
+    supervision = SupervisionOptions(stiffness=1e4)
+    controller = QPController(lift.cell, lift.grasp, lift.path, dt=0.002, options=QPOptions(supervision=supervision))
     loop = ControlLoop(controller, drivers, options, recorder=recorder, time=time)
+    recorder.loop = loop
     return loop.run(), np.array(recorder.times), np.array(recorder.sent)
 
 
@@ -170,3 +176,61 @@ def test_states_that_go_wrong_in_motion_end_the_run_with_the_robots_name(lift, c
 def test_states_that_come_back_are_enough(lift, shown):
     report, _, _ = _run(lift, *_with(lift, shown=shown))
     assert report.finished, report.reason
+
+
+def _hanging(sag, halts=np.inf):
+    """Without a target; joints that hang off their commands by sag(q), and that stay where they are from a state on."""
+    stays = []
+
+    def shown(n, state):
+        q = state.q - sag(state.q)
+        if n >= halts:
+            stays.append(q)
+            return replace(state, q=stays[0], velocity=np.zeros(len(q)), target=None)
+        return replace(state, q=q, target=None)
+
+    return shown
+
+
+def _at(joint, far):
+    return lambda q: far * np.eye(len(q))[joint]
+
+
+@pytest.mark.parametrize(
+    "sag",
+    slow_but_first([
+        _at(2, 4e-4),
+        _at(2, -4e-4),
+        _at(0, 3e-4),
+        _at(4, -1e-3),
+        lambda q: 4e-4 * np.cos(q) * np.eye(len(q))[1],
+        lambda q: 1e-4 * np.sin(3.0 * q),
+    ]),
+)  # fmt: skip
+def test_a_servo_that_hangs_off_its_commands_has_not_stopped(lift, sag):
+    report, _, _ = _run(lift, *_with(lift, shown=_hanging(sag)))
+    assert report.finished, report.reason
+    assert report.stops == 0
+
+
+@pytest.mark.parametrize("sag", slow_but_first([_at(2, 4e-4), _at(4, -1e-3), _at(2, 0.0)]))
+def test_a_robot_that_stops_is_named_however_it_hangs(lift, sag):
+    report, _, _ = _run(lift, *_with(lift, shown=_hanging(sag, halts=400)))
+    assert report.reason == "the test ends it"
+    assert report.stops == 1
+    assert "robot 'slave_1' did not follow its commands" in " ".join(report.lines())
+
+
+def test_a_servo_that_hangs_too_far_ends_the_run_with_the_joints_name(lift):
+    report, _, sent = _run(lift, *_with(lift, shown=_hanging(_at(2, 8e-3))))
+    assert not report.finished
+    assert f"joint {lift.cell.joint_names[8]} hangs" in report.reason
+    assert "its servo" in report.reason
+    assert np.abs(sent - sent[0]).max() < 1e-4
+
+
+def test_a_joint_that_hangs_at_the_end_of_the_path_is_named(lift):
+    report, _, _ = _run(lift, *_with(lift, shown=_hanging(_at(2, 6e-4))), end_tolerance_m=1e-4)
+    assert not report.finished
+    assert "the tool of arm slave_1 stands" in report.reason
+    assert f"joint {lift.cell.joint_names[8]} hangs 0.6 mrad" in report.reason
