@@ -24,7 +24,7 @@ from coopqp.control.lock import alone
 from coopqp.control.operator.calls import OperatorCalls
 from coopqp.control.operator.changes import Target
 from coopqp.control.operator.operator import Operator
-from coopqp.control.operator.waiting import Waiting, kind_of
+from coopqp.control.operator.waiting import RATE_CALLS, Waiting, kind_of
 from coopqp.control.options import QPOptions
 from coopqp.control.step.constraint_set import Constraints
 from coopqp.control.step.plain import PlainLoop
@@ -182,8 +182,12 @@ class QPController(OperatorCalls):
             loop.release()
 
     def _catch_up(self) -> None:
+        """Make calls of other threads, as far as one looks at another path: each such look costs more than a step."""
+        self._operator.looked = False
         for calls in self._waiting.take():
             name, call = calls[-1]
+            if self._operator.looked and name not in RATE_CALLS:
+                return
             self._operator.make(name, call)
 
     def __repr__(self) -> str:
@@ -643,7 +647,8 @@ class QPController(OperatorCalls):
 
     @alone
     def __getstate__(self) -> dict[str, Any]:
-        self._catch_up()
+        while self._waiting:
+            self._catch_up()
         names = ("cell", "grasp", "dt", "options", "constraints", "kernel")
         state = {name: getattr(self, name) for name in names}
         own = {"started": self._started, "outside": self._outside, "operator": self._operator.memory()}

@@ -187,6 +187,27 @@ def test_of_calls_that_decide_the_same_the_last_one_is_made(paper: Scenario) -> 
     assert not made.paused
 
 
+def test_calls_that_look_at_other_paths_are_made_one_a_step_in_order(paper: Scenario) -> None:
+    made = QPController(paper.cell, paper.grasp, paper.path, dt=0.0075)
+    made.reset(paper.q_start)
+    for _ in range(20):
+        made.step()
+    aside = pin.SE3(np.eye(3), np.array([0.0, 0.0, 0.001]))
+
+    def ask() -> None:
+        made.run_to(1.0)
+        made.set_override(0.9)
+        made.shift_path(aside, over=0.1)
+        made.pause()
+
+    elsewhere(ask)
+    calls = []
+    for _ in range(3):
+        made.step()
+        calls.append([name for name, _, _ in made.take_events()])
+    assert calls == [["run_to", "set_override"], ["shift_path", "pause"], []]
+
+
 def short_of(path: Any) -> LinePath:
     """A path from where another begins, too short for what is asked along that one."""
     return LinePath.displaced(path.pose(0.0), translation=(0.0, 0.0, 0.01), duration=0.3)

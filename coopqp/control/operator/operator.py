@@ -49,6 +49,7 @@ _MOST_BETWEEN = 1000
 _VARYING = (
     "way", "wanted", "then", "_override", "paused", "age", "holds_for", "returns", "gear", "clutch", "_left", "_brakes",
     "looks_in", "opened", "jogged", "_late", "_run_time", "_goes_on", "_tries_in", "_gap",
+    "looked",
 )  # fmt: skip
 _STOPPED = (Status.HOLDING, Status.FAULT)
 
@@ -76,6 +77,7 @@ class Operator:
         clutch: the hand that leads the object; None if none is engaged.
         trail: what redundant arms travelled; None if there are none.
         opened: signals that have come since the start; their gates stay open.
+        looked: another path was looked at since the last step.
     """
 
     def __init__(
@@ -103,7 +105,7 @@ class Operator:
         self._late = False
         #: Steps until the next attempt to make a change that waits, and from one to the next.
         self._tries_in = self._gap = 1
-        self.looks_in = 1
+        self.looks_in, self.looked = 1, False
         self._longest_dt = dt * options.supervision.dt_range[1]
         redundant = Chain(cell, grasp).redundancy > 0
         self.trail: Trail | None = Trail(cell, dt=dt) if redundant else None
@@ -381,6 +383,7 @@ class Operator:
 
     def go_over(self, path: ServoPath, goal: pin.SE3) -> bool:
         """Take the way to a target if that is admissible now: at the full rate, the next time at the present one."""
+        self.looked = True
         loop, full = self._loop, 0.0 if self._loop.reins[1] else self.override
         now, late = loop.rate, self._late
         rate = min(now, full) if late else full
@@ -400,6 +403,7 @@ class Operator:
             same: only the program changes, not the path.
         """
         loop, old, rests = self._loop, self.way, self.rests
+        self.looked = True
         self._note_travels()
         rate, memory, taken = loop.rate, loop.memory(), False
         try:
@@ -476,6 +480,7 @@ class Operator:
         """
         wanted = self.wanted or self.then
         self.make("a call" if wanted is None else wanted.call, lambda: self._before(dt))
+        self.looked = False
 
     def _before(self, dt: float) -> None:
         way, loop = self.way, self._loop
@@ -498,6 +503,8 @@ class Operator:
 
     def _tries_now(self) -> bool:
         """Whether a change that waits is attempted in this step: each look at another path costs more than a step."""
+        if self.looked:  # from here, but at another rate
+            return self._late
         if self.wanted is None or self.wanted.by_hand or isinstance(self.wanted, Target):
             return True
         self._tries_in -= 1

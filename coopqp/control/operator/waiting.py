@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Hashable, Iterable
+from collections.abc import Hashable, Iterator
 from typing import Any, Generic, TypeVar, final
 
 _T = TypeVar("_T")
@@ -13,6 +13,9 @@ _KINDS = {
     "pause": "rest", "resume": "rest", "set_override": "rate", "gear": "rate", "reverse": "travel", "forward": "travel",
     "run_to": "travel", "step_to_mark": "travel", "engage": "hand", "release": "hand",
 }  # fmt: skip
+
+#: Calls that decide how fast the object goes, not where.
+RATE_CALLS = frozenset({"pause", "resume", "set_override", "gear", "signal"})
 
 
 def kind_of(call: str, value: Any = None) -> Hashable:
@@ -26,20 +29,27 @@ class Waiting(Generic[_T]):
 
     def __init__(self) -> None:
         self._calls: deque[tuple[Hashable, _T]] = deque()
+        self._due: deque[list[_T]] = deque()
 
     def __bool__(self) -> bool:
-        return bool(self._calls)
+        return bool(self._due or self._calls)
 
     def put(self, kind: Hashable, call: _T) -> None:
         """A call of a kind, after all that wait."""
         self._calls.append((kind, call))
 
-    def take(self) -> Iterable[list[_T]]:
-        """The calls of each kind that wait now, the kind called last at the end; what comes meanwhile waits on."""
+    def take(self) -> Iterator[list[_T]]:
+        """The calls of each kind that wait now, the kind called last at the end; what comes meanwhile waits on.
+
+        Those at which the taker stops come first the next time, ahead of all that wait by then.
+        """
         found: dict[Hashable, list[_T]] = {}
-        for _ in range(len(self._calls)):
+        for _ in range(0 if self._due else len(self._calls)):
             kind, call = self._calls.popleft()
             calls = found.pop(kind, [])
             calls.append(call)
             found[kind] = calls
-        return found.values()
+        self._due.extend(found.values())
+        while self._due:
+            yield self._due[0]
+            self._due.popleft()
