@@ -20,19 +20,13 @@ static int shrink_units(Core *c, double h) {
         const Group *g = group_of(c, k);
         const int joints = joints_together(c, k), extra = std::max(joints - 6 * (g ? g->arms : 1), 0), at = z;
         z += extra;
-        const auto motion = x.segment(at, extra);
-        const double size = motion.squaredNorm();
+        const double size = x.segment(at, extra).squaredNorm();
         if (!(size > 0.0) || follows_way(c, k)) continue;
         double cost = 0.0;
         for (int i = 0; i < joints; i++) cost -= c->pull[joint_together(c, k, i)] * back[joint_together(c, k, i)];
         cost *= time / size;
         if (!(cost > 1.0)) continue;
-        auto all = columns.middleCols(at, extra);
-        const double less = (1.0 / sqrt(cost) - 1.0) / size;
-        for (int i = 0; i < columns.rows(); i++) {
-            const double along = all.row(i).dot(motion);
-            all.row(i) += less * along * motion.transpose();
-        }
+        columns.middleCols(at, extra) /= sqrt(cost);
         shrunk = 1;
     }
     return shrunk;

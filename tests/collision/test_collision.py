@@ -1075,7 +1075,7 @@ def test_arms_brake_within_their_accelerations_on_the_path_and_rest_before_the_m
     assert max(step.given_up.chain for step in steps) == 0.0
     late = int(np.argmax(np.array(distances) < MARGIN))  # the cart comes on
     assert late > 0
-    assert all(step.rate < 1e-6 for step in steps[late:])  # rest, but for what the correction of the path leaves
+    assert all(step.rate < 1e-9 for step in steps[late:])
 
 
 @pytest.mark.parametrize("kernel", slow_but_first(KERNELS))

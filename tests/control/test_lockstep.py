@@ -515,7 +515,7 @@ def limited_runs() -> Iterator[Any]:
 @pytest.mark.parametrize(("name", "mode"), [*every_run()])
 def test_both_agree_on_every_scenario(name: str, mode: str) -> None:
     if name != "at_limit":
-        run_in(mode, ready(name), 230)
+        run_in(mode, ready(name), 250)
         return
     seen = run_in(mode, ASKEW, 150).seen
     assert seen >= {Status.SLOWED} or "stalls" in mode or "bound" in mode

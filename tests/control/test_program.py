@@ -226,8 +226,8 @@ def test_both_forms_agree_on_the_way_to_a_singular_elbow(monkeypatch: pytest.Mon
     """Near the elbow, some velocities hardly change the cost of the full form."""
     task = at_singularity("elbow")
     weakest, compared = np.inf, 0
-    nearer = PreviewOptions(singular_rate=5e-3)
-    for recorded in steps(task, monkeypatch, every=1, dt=0.5 * task.dt, preview=nearer):
+    nearer = PreviewOptions(singular_rate=2e-3)  # until a joint alone would move the object 500 times as fast
+    for recorded in steps(task, monkeypatch, every=1, dt=task.dt, preview=nearer):
         J = recorded.chain.dense().reshape(3, 6, 18)
         weakest = float(np.linalg.svd(J, compute_uv=False).min())
         if weakest > 0.03:
@@ -236,7 +236,7 @@ def test_both_forms_agree_on_the_way_to_a_singular_elbow(monkeypatch: pytest.Mon
         for solver in ("daqp", "proxqp", "osqp", "qpsolvers:daqp"):
             assert np.abs(a.velocity - recorded.full(solver=solver).velocity).max() < AGREEMENT, solver
         compared += 1
-        if compared == 120:
+        if compared == 90:
             break
     assert weakest < 1e-3
 

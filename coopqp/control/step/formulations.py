@@ -176,7 +176,7 @@ class StepProgram:
         slack = self.chain.joint_columns(terms.to_world @ S)
         base = pieces.command(terms.rate_cap)
         null = self._posture_scale * self.chain.null_basis()
-        B = np.hstack([slack, -shares, null if units is None else null @ units])
+        B = np.hstack([slack, -shares, null if units is None else null * units])
         base_rows, B_rows = np.concatenate([base, further.G @ base]), np.vstack([B, further.G @ B])
         problem = self.least_distance(
             base_rows, B_rows, box, further, rate_cap=terms.rate_cap, shares_at=S.shape[1], relax=relax
@@ -286,8 +286,7 @@ class StepProgram:
             cost = max(self.weights.posture, 1e-10 * self.weights.chain) if slack else self.weights.posture
             G, target = self._posture_rows(terms, n, shares.start)
             if units is not None:
-                per = np.linalg.inv(units)
-                G, target = per @ G, per @ target
+                G, target = G / units[:, None], target / units
             H += cost * G.T @ G
             g -= cost * G.T @ target
 

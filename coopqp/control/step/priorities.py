@@ -127,7 +127,7 @@ class StepSolver:
         solution = _ask(self._solver, problem)
         units = program.units_condensed(solution, columns, box, h) if solution.usable else None
         if units is not None:
-            columns[:, -len(units) :] @= units
+            columns[:, -len(units) :] *= units
             again = _ask(self._solver, program.least_distance(base, columns, box, further, rate_cap=cap))
             solution = again
         return (solution.x[: unit.size] if solution.usable else None), self._report(solution, self._solver)

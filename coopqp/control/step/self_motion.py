@@ -4,8 +4,9 @@ A step's QP is linear in the self-motion, which costs next to nothing. Where a l
 joint along the self-motion would be worth all the speed that the accelerations allow: past the place where the slope is
 0, and back in the next step, for ever. But the slope changes on the way: joints bend by ``b = −A⁺ Ȧ w`` under the
 self-motion ``w = N z``. So a QP whose limits bind with the multipliers λ is solved again with a cost of at least
-``½ T λᵀb`` for this direction of z, which leads to where the slope is 0 in the time T, and no further. The core's
-counterpart is ``self_motion.cpp``. See docs/derivations.md.
+``½ T λᵀb`` for z, which leads to where the slope is 0 in the time T, and no further. All self-motion of arms that move
+together costs as much: z is small where the limits leave it little, and its direction would be made of rounding. The
+core's counterpart is ``self_motion.cpp``. See docs/derivations.md.
 """
 
 from __future__ import annotations
@@ -18,7 +19,7 @@ from coopqp.spatial import Array
 
 
 def shrunk_units(chain: Chain, z: Array, columns: Array, pull: Array, h: float) -> Array | None:
-    """New units of the self-motions (r, r): ``columns @ this`` replaces the columns; None where they may stay.
+    """Shares (r,) of their units that remain: ``columns * this`` replaces the columns; None where they may stay.
 
     Args:
         chain: linearised and inverted.
@@ -37,6 +38,6 @@ def shrunk_units(chain: Chain, z: Array, columns: Array, pull: Array, h: float) 
         bend = -chain.inverses[i] @ (chain.part_slope(i, w[joints]) @ w[joints])
         cost = time * float(pull[joints] @ bend) / size
         if cost > 1.0:
-            units = np.eye(len(z)) if units is None else units
-            units[at - extra : at, at - extra : at] += (1.0 / np.sqrt(cost) - 1.0) / size * np.outer(own, own)
+            units = np.ones(len(z)) if units is None else units
+            units[at - extra : at] = 1.0 / np.sqrt(cost)
     return units
