@@ -13,7 +13,7 @@ import pinocchio as pin
 from closed_chain import Array, ClosedChain
 
 #: Half the way of a central difference [rad or m].
-_STEP = 1e-5
+STEP = 1e-5
 
 
 @dataclass
@@ -109,8 +109,8 @@ def _singular_edges(chain: ClosedChain, q: Array) -> tuple[Array, Array]:
 
     gradient = np.zeros((len(chain.parts), chain.nv))
     for j in range(chain.nv):
-        step = _STEP * np.eye(chain.nv)[j]
-        gradient[:, j] = (least(chain.moved(q, step)) - least(chain.moved(q, -step))) / (2.0 * _STEP)
+        step = STEP * np.eye(chain.nv)[j]
+        gradient[:, j] = (least(chain.moved(q, step)) - least(chain.moved(q, -step))) / (2.0 * STEP)
     return least(q) - 0.01, gradient
 
 
@@ -122,15 +122,15 @@ def _bend(
     size = float(np.sqrt(v @ (W * v)))
     if size == 0.0:
         return np.zeros(chain.nv), np.inf
-    before, after = chain.carried(chain.moved(q, -_STEP * v)), chain.carried(chain.moved(q, _STEP * v))
+    before, after = chain.carried(chain.moved(q, -STEP * v)), chain.carried(chain.moved(q, STEP * v))
     here = chain.carried(q)
     J = chain.jacobians(q, about)
     bent = np.zeros((chain.n, 6))
     for k in range(chain.n):
         held = here[k].actInv(pin.SE3(np.eye(3), about)).translation  # the point moves with the object
-        J_before = chain.jacobians(chain.moved(q, -_STEP * v), before[k].act(held))[k]
-        J_after = chain.jacobians(chain.moved(q, _STEP * v), after[k].act(held))[k]
-        bent[k] = (J_after - J_before) @ v / (2.0 * _STEP)
+        J_before = chain.jacobians(chain.moved(q, -STEP * v), before[k].act(held))[k]
+        J_after = chain.jacobians(chain.moved(q, STEP * v), after[k].act(held))[k]
+        bent[k] = (J_after - J_before) @ v / (2.0 * STEP)
     used = float((np.abs(chain.least_motion(J, bent[:, :, None])[:, 0]) / a).max())
     if used <= 0.35:
         return np.zeros(chain.nv), np.inf

@@ -9,8 +9,9 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 import numpy as np
+import pinocchio as pin
 import qpsolvers
-from bounds import Bounds, Rows
+from bounds import STEP, Bounds, Rows
 from closed_chain import Array, ClosedChain
 
 #: Costs of giving something up, per unit squared.
@@ -49,7 +50,8 @@ class Wanted:
 
 @dataclass
 class Answer:
-    """Joint velocities (nv,), σ, the shares ρ_g and ρ_p, s (6,), whether the chain parts, whether all brake."""
+    """Joint velocities (nv,), σ, the shares ρ_g and ρ_p, s (6,), whether the chain parts, whether all brake, whether
+    self-motion costs more than its posture."""
 
     v: Array
     rate: float
@@ -58,22 +60,24 @@ class Answer:
     off_path: Array = field(default_factory=lambda: np.zeros(6))
     parts: bool = False
     braked: bool = False
+    bent: bool = False
 
 
 def answer(
-    chain: ClosedChain, J: Array, R: Array, want: Wanted, box: Bounds, rows: Rows, v: Array, a: Array, h: float,
-    *, shortcut: bool = True, fails: bool = False,
+    chain: ClosedChain, q: Array, J: Array, R: pin.SE3, want: Wanted, box: Bounds, rows: Rows, v: Array, a: Array,
+    h: float, *, shortcut: bool = True, fails: bool = False,
 ) -> Answer:  # fmt: skip
     """The first attempt with an answer: nominal command, rate line search, QP, QP whose chain parts, brake.
 
     Args:
-        chain, J, R: kinematics, Jacobians in world axes (N, 6, nv), rotation of the reference pose.
+        chain, q, J, R: kinematics, a configuration (nq,), its Jacobians about the origin of the reference pose in world
+            axes (N, 6, nv), and that pose.
         want, box, rows: the wanted motion, velocity bounds and further rows.
         v, a, h: the last velocities (nv,), acceleration limits (nv,), length of the step [s].
         shortcut: make the first two attempts.
         fails: no solver has an answer.
     """
-    world = np.kron(np.eye(2), R)
+    world = np.kron(np.eye(2), R.rotation)
 
     def joints(twists: Array) -> Array:
         return chain.least_motion(J, (np.broadcast_to(twists, (chain.n, 6)) @ world.T)[:, :, None])[:, 0]
@@ -87,7 +91,7 @@ def answer(
     for giving in () if fails else ((), ("rows",), ("rows", "chain")):
         if giving == ("rows",) and not len(rows.G):
             continue
-        found = program(chain, J, world, want, box, rows, giving)
+        found = program(chain, q, J, R, want, box, rows, giving, h)
         if found is not None:
             return found
     return brake(chain, J, world, want, box, rows, v, a, h)
@@ -113,7 +117,8 @@ def on_path(fixed: Array, along: Array, cap: float, box: Bounds, rows: Rows) -> 
 
 
 def program(
-    chain: ClosedChain, J: Array, world: Array, want: Wanted, box: Bounds, rows: Rows, giving: tuple[str, ...]
+    chain: ClosedChain, q: Array, J: Array, R: pin.SE3, want: Wanted, box: Bounds, rows: Rows, giving: tuple[str, ...],
+    h: float,
 ) -> Answer | None:  # fmt: skip
     """The QP. Unknowns, each but v in units of the root of its cost: v, s, what is given up of σ, ρ_g and ρ_p, the
     null-space motion beside the wanted one, velocities by which joints outside are not led back; and with ``giving``
@@ -125,7 +130,8 @@ def program(
     S = Q / (np.sqrt(OFF_PATH) * metric[:, None])
     units = 1.0 / np.sqrt([RATE, GRASP, PATH])
     out = np.flatnonzero(box.outside)
-    dual = (chain.null_space(J) / chain.units[:, None] ** 2).T
+    basis = chain.null_space(J)
+    dual = (basis / chain.units[:, None] ** 2).T
     sizes = [nv, S.shape[1], 3, len(dual), len(out), len(rows.G) * ("rows" in giving), 6 * N * ("chain" in giving)]
     ends = np.cumsum(sizes)
     s, up, null, back, soft, part = (slice(ends[i], ends[i + 1]) for i in range(6))
@@ -153,26 +159,72 @@ def program(
     lb[:nv], ub[:nv], lb[up], ub[up] = box.lower, box.upper, 0.0, np.array([want.cap, 1.0, 1.0]) / units
     equal = np.vstack([E.reshape(6 * N, n), B, Z])
     value = np.concatenate([e.ravel(), box.back[out], dual @ (want.null_offset + want.cap * want.null_along)])
-    found = _solve(H, C, rows.upper, equal, value, lb, ub)
+    found, pull = _solve(H, C, rows.upper, equal, value, lb, ub)
+    bent = False
+    if found is not None and len(dual) and "chain" not in giving:
+        pull[out] += np.sqrt(RECOVERY) * found[back]  # a joint that is led back pulls with what it lacks
+        more = bending(chain, q, J, R, basis / np.sqrt(posture), found[null], pull[:nv], h)
+        bent = bool(more.any())
+        if bent:
+            H[null, null] += more
+            found, _ = _solve(H, C, rows.upper, equal, value, lb, ub)
     if found is None or (np.maximum(found[:nv] - box.upper, box.lower - found[:nv]) > 1e-5).any():
         return None
     v, (late, grasp, path) = np.clip(found[:nv], box.lower, box.upper), found[up] * units
     rate = min(max(want.cap - late, 0.0), want.cap)
-    return Answer(v, rate, 1.0 - grasp, 1.0 - path, S @ found[s], parts="chain" in giving)
+    return Answer(v, rate, 1.0 - grasp, 1.0 - path, S @ found[s], parts="chain" in giving, bent=bent)
 
 
-def _solve(H: Array, C: Array, u: Array, E: Array, e: Array, lb: Array, ub: Array) -> Array | None:
-    """x of least ½ xᵀ H x, or None without one: the equalities' null-space is searched, in which the QP is convex."""
+def bending(
+    chain: ClosedChain, q: Array, J: Array, R: pin.SE3, per: Array, z: Array, pull: Array, h: float
+) -> Array:  # fmt: skip
+    """By how much more the Hessian of z must be (r, r), so that no limit shakes the self-motion to and fro.
+
+    The Lagrangian's second derivative along w = N z: past the time T the joints have bent by b = −A⁺ Ȧ(w) w, and
+    multipliers λ of the velocities are worth λᵀ b.
+
+    Args:
+        chain, q, J, R: see :func:`answer`.
+        per: N, joint velocities for units of z (nv, r), part by part.
+        z: self-motion that the QP has found (r,).
+        pull: λ (nv,), positive at upper bounds.
+        h: length of the step [s].
+    """
+    w, more, at = per @ z, np.zeros((len(z), len(z))), 0
+    before, after = (np.array(chain.jacobians(chain.moved(q, way * w), R.translation)) for way in (-STEP, STEP))
+    bend = -chain.least_motion(J, ((after - before) @ w / (2.0 * STEP))[:, :, None])[:, 0]
+    for part in chain.parts:
+        joints = chain.joints(part)
+        own = slice(at, at := at + len(joints) - 6 * len(part))
+        size = float(z[own] @ z[own])
+        cost = max(0.05, 5.0 * h) * float(pull[joints] @ bend[joints]) / size if size > 0.0 else 0.0
+        if cost > 1.0:
+            more[own, own] = (cost - 1.0) / size * np.outer(z[own], z[own])
+    return more
+
+
+def _solve(H: Array, C: Array, u: Array, E: Array, e: Array, lb: Array, ub: Array) -> tuple[Array | None, Array]:
+    """x of least ½ xᵀ H x, or None without one: the equalities' null-space is searched, in which the QP is convex.
+
+    With the multipliers of the bounds of x, positive at upper ones.
+    """
     U, s, Vt = np.linalg.svd(E)
     rank = int((s > 1e-10 * s[0]).sum())
     x0, Z = Vt[:rank].T @ ((U[:, :rank].T @ e) / s[:rank]), Vt[rank:].T
+    none = np.zeros(len(x0))
     if np.abs(E @ x0 - e).max() > 1e-8:
-        return None
-    G, d = np.vstack([C, np.eye(len(x0)), -np.eye(len(x0))]), np.concatenate([u, ub, -lb])
+        return None, none
+    one = np.eye(len(x0))
+    G, d = np.vstack([C, one, -one]), np.concatenate([u, ub, -lb])
     some = np.isfinite(d)
     problem = qpsolvers.Problem(Z.T @ H @ Z, Z.T @ H @ x0, (G @ Z)[some], (d - G @ x0)[some])
     solution = qpsolvers.solve_problem(problem, solver="daqp", primal_tol=1e-10, dual_tol=1e-13)
-    return x0 + Z @ solution.x if solution.found and np.isfinite(solution.x).all() else None
+    if not solution.found or not np.isfinite(solution.x).all():
+        return None, none
+    y = np.zeros(len(d))
+    y[some] = solution.z
+    upper, lower = y[len(C) :].reshape(2, -1)
+    return x0 + Z @ solution.x, upper - lower
 
 
 def brake(

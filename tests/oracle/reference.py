@@ -2,7 +2,6 @@
 
 It has nothing of the core: kinematics are Pinocchio's frames, gradients are differences, the QP is in full form. It
 knows fixed grasps, arms of any number of joints and joints that arms share, and it knows nothing ahead of the object.
-It lacks what holds the self-motion of redundant arms at their limits, a QP that is solved again.
 """
 
 from __future__ import annotations
@@ -192,7 +191,8 @@ class Reference:
     def _about(self, R: pin.SE3, want: Wanted, v: Array, box: Any, rows: Any) -> tuple[Answer, Wanted, Array]:
         """The answer of the chain, linearised in the middle of the step that velocities v make."""
         chain = self.chain
-        J = chain.jacobians(self.chain.moved(self.q, 0.5 * self.dt * v), R.translation)
+        middle = chain.moved(self.q, 0.5 * self.dt * v)
+        J = chain.jacobians(middle, R.translation)
         A = _in_axes(R, J)
         N = chain.null_space(J)
         project = N @ (N / chain.units[:, None] ** 2).T
@@ -208,7 +208,7 @@ class Reference:
                 offsets=closing(want.offsets, ranges), basis=Z, ranges=ranges,
             )  # fmt: skip
         found = answer(
-            chain, J, R.rotation, want, box, rows, self.v, self.limits.acceleration, self.dt,
+            chain, middle, J, R, want, box, rows, self.v, self.limits.acceleration, self.dt,
             shortcut=self.o.shortcut, fails=self.o.fails,
         )  # fmt: skip
         return found, want, A
