@@ -31,6 +31,8 @@ STANDS, MOVES, CLOCK_STANDS = 0.05, 0.15, 0.01
 FELL = 0.5
 #: The way back to an arm that stopped: gain [1/s], and how far from it the others stay [s].
 BACK_GAIN, BACK_FREE = 12.0, 1e-4
+#: How often an arm moved on is forgotten in this time [s].
+_OF_LATE = 2.0
 #: Filter of an arm's own rate [s].
 _RATE_FILTER = 0.02
 
@@ -50,12 +52,14 @@ class FollowSlowest:
         hangs: arms stand off their commands at rest, and none has stopped: the clock waits until that is taken into
             account.
         lost: time that each arm cost (arms,) [s].
+        moved_on: how often each arm that had been taken for stopped moved on of late (arms,).
     """
 
     def __init__(self, arms: int, *, period: float) -> None:
         self._h = period
         self.rate, self.slowest, self.stopped, self.hangs = 1.0, 0, False, False
         self.lost = np.zeros(arms)
+        self.moved_on = np.zeros(arms)
         self._integral = 0.0
         self._own = np.ones(arms)
 
@@ -89,10 +93,12 @@ class FollowSlowest:
         self._integral = min(max(self._integral, 0.0), 1.0)
         w = 1.0 - GAIN * over - self._integral
         own_rate = abs(float(self._own[self.slowest]))
+        self.moved_on *= 1.0 - self._h / _OF_LATE
         if said.any():
             self.stopped = True
         elif self.stopped:
             self.stopped = own_rate < MOVES
+            self.moved_on[self.slowest] += not self.stopped
         elif self.hangs or (w < CLOCK_STANDS and own_rate < STANDS and over > 0.0):
             self.stopped = not self.hangs and bool(fell[self.slowest] >= FELL * e)
             self.hangs = not self.stopped and e > FREE

@@ -44,6 +44,8 @@ _SLOW_END = 1e-3
 _LEAPS, _MAY_LEAP = 1.0, 0.05
 #: The run ends where the arms stand for this time on a way that goes on, and less than this of it was gone [s].
 _STANDSTILL, _GONE = 5.0, 1e-3
+#: The run ends where a robot that seems to have stopped moved on so often of late.
+_MOVED_ON = 3.0
 #: A joint that hangs further than this off its commands at rest is named where the object does not go on [rad or m].
 _HANGS = 5e-4
 #: Every how many periods the distance of the arms is looked at.
@@ -341,6 +343,13 @@ class ControlLoop(LoopCalls):
         if motion.leaps[k] > _LEAPS:
             name = self.robots[k].name
             self._end(f"the states of robot '{name}' leap faster than it can move: {_ANOTHER}", failed=True)
+        k = int(np.argmax(motion.law.moved_on))
+        if motion.law.moved_on[k] > _MOVED_ON:
+            self._end(
+                f"robot '{self.robots[k].name}' seems to stop again and again, and moves on: its states come late, or "
+                "its driver's lag and delay are not the true ones",
+                failed=True,
+            )
         if self._ending or self._standing or abs(motion.shared.sigma - self._gone[1]) > _GONE:
             self._gone = now, motion.shared.sigma, self._stalls
         elif now - self._gone[0] > _STANDSTILL and self._stalls > self._gone[2]:

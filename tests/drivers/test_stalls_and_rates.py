@@ -234,3 +234,16 @@ def test_a_joint_that_hangs_at_the_end_of_the_path_is_named(lift):
     assert not report.finished
     assert "the tool of arm slave_1 stands" in report.reason
     assert f"joint {lift.cell.joint_names[8]} hangs 0.6 mrad" in report.reason
+
+
+@pytest.mark.parametrize("tells", slow_but_first([False, True]))
+@pytest.mark.parametrize("lag", slow_but_first([0.0, 0.02]))
+def test_a_robot_whose_states_come_late_is_named(lift, lag, tells):
+    time = ManualTime()
+    robots = simulated_robots(lift.cell, lift.q_start, time, (lag,) * 3, tells_target=tells)
+    robots["slave_1"].latency = 0.1
+    report, times, _ = _run(lift, time, robots)
+    assert not report.finished
+    assert "robot 'slave_1'" in report.reason
+    assert "its states come late" in report.reason
+    assert times[-1] < 3.0
