@@ -77,9 +77,8 @@ static double group_edge(const Core *c, const Group &g, double *gradient) {
     return size;
 }
 
-/* J̇ v of one arm about a point that moves with the object. */
-static Vector6 bend(const Core *c, int k, const Vector &velocity) {
-    const ArmColumns J = columns_of_arm(c, k, c->jacobian);
+static Vector6 bend(const Core *c, int k, const double *jacobian, const Vector &velocity) {
+    const ArmColumns J = columns_of_arm(c, k, jacobian);
     const int n = (int)J.cols();
     double v[MOST_JOINTS];
     for (int j = 0; j < n; j++) v[j] = velocity[joint_behind(c, k, j)];
@@ -178,7 +177,7 @@ static void brake_together(Core *c) {
         add_row(c, -down, up, c->arms + j);
     }
     for (int k = 0; k < c->arms; k++)
-        bends.col(k) = bend(c, k, v);
+        bends.col(k) = bend(c, k, c->jacobian, v);
     const int singular = !two_velocities(c, c->jacobian, bends, Vector6::Zero(), nullptr, nullptr, needed, nothing);
     double used = singular ? INFINITY : 0.0, reach = 0.0, *G = next_row(c);
     for (int j = 0; j < c->joints && !singular; j++) {

@@ -110,6 +110,11 @@ static int two_velocities(Core *c, const double *jacobian, const Twists &w0, con
 static int group_velocities(Core *c, const Group &g, const double *jacobian, const double *w0, const double *w1, bool own,
                             const double *u0, const double *u1, double *v0, double *v1);
 
+/* -- braking.cpp ------------------------------------------------------------------------------------------ */
+
+/* J̇ v of one arm about a point that moves with the object. */
+static Vector6 bend(const Core *c, int k, const double *jacobian, const Vector &velocity);
+
 /* -- watch.cpp ----------------------------------------------------------------------------------------- */
 
 /* Compare a sample with the command; lowers watch_cap and sets hold, faults and the reason of the proposal.

@@ -22,6 +22,60 @@ static int self_motion(Core *c, int k, const double *jacobian, int j, double *wa
            far_velocities(J, scale, n, none, none, push, still, way, other) > 0.0;
 }
 
+/* How joint `j` of these bends along a self-motion (n,) of arm k, or of its group: −A⁺ J′(w) w; 0 if it is singular. */
+static double bend_of_joint(Core *c, int k, const double *jacobian, const double *way, int j) {
+    const int nv = c->joints, n = joints_together(c, k);
+    Vector moving(c->scratch, nv, 1), moved(moving + nv, nv, 1), other(moving + 2 * nv, nv, 1);
+    moving.setZero();
+    for (int i = 0; i < n; i++) moving[joint_together(c, k, i)] = way[i];
+    if (const Group *g = group_of(c, k)) {
+        Twists bends(moving + 3 * nv, 6, c->arms);
+        for (int i = 0; i < g->arms; i++) bends.col(g->arm[i]) = -bend(c, g->arm[i], jacobian, moving);
+        return group_velocities(c, *g, jacobian, bends, nullptr, false, nullptr, nullptr, moved, other) ? moved[g->joint[j]] : 0.0;
+    }
+    static const double still[MOST_JOINTS] = {};
+    const int start = (int)c->arm_start[k];
+    const double *J = jacobian + 6 * start, *scale = c->scale + start;
+    const Vector6 bends = -bend(c, k, jacobian, moving), none = Vector6::Zero();
+    const bool found = arm_velocities(J, scale, n, bends, none, still, still, moved, other) > 0.0 ||
+                       far_velocities(J, scale, n, bends, none, still, still, moved, other) > 0.0;
+    return found ? moved[j] : 0.0;
+}
+
+/* The self-motion of arm k, or of its group, that moves joint `j` of these, at unit speed; returns that joint's share. */
+static double unit_motion(Core *c, int k, const double *jacobian, int j, double *way) {
+    const double share = self_motion(c, k, jacobian, j, way) ? way[j] : 0.0;
+    const double unit = share > IN_PLANE ? c->scale[joint_together(c, k, j)] / sqrt(share) : 0.0;
+    for (int i = 0; i < joints_together(c, k); i++) way[i] *= unit;
+    return share;
+}
+
+/* The self-motion, at unit speed, that leads joint `worst` of these to its side, away from its limit, `left` away. Returns the
+ * joint's slope along it that is counted with; 0 if it cannot be led. */
+static double lever_of(Core *c, int k, const double *jacobian, int worst, double side, double left, double *way) {
+    const int n = joints_together(c, k);
+    const auto scale = [&](int i) { return c->scale[joint_together(c, k, i)]; };
+    const double share = unit_motion(c, k, jacobian, worst, way);
+    double bends = 0.0;
+    if (share > IN_PLANE) {
+        bends = side * bend_of_joint(c, k, jacobian, way, worst);
+    } else { /* of all self-motions that which bends it most; its first joint that turns well goes upwards */
+        int first = 0;
+        for (int j = 0; j < n; j++) {
+            double motion[MOST_GROUP_JOINTS];
+            if (!(unit_motion(c, k, jacobian, j, motion) > LEADS)) continue;
+            const double own = side * bend_of_joint(c, k, jacobian, motion, worst);
+            if (own > bends) bends = own, std::copy(motion, motion + n, way);
+        }
+        while (first < n - 1 && !(fabs(way[first]) > TURNS_WELL * scale(first))) first++;
+        for (int i = 0, turned = way[first] < 0.0; turned && i < n; i++) way[i] = -way[i];
+    }
+    const double own = scale(worst) * sqrt(maximum(share, 0.0)), won = 2.0 * bends * maximum(left, 0.0);
+    if (won > 0.0) return maximum(own, sqrt(won)) > LEADS * scale(worst) ? maximum(own, sqrt(won)) : 0.0;
+    const double lever = own > 0.0 ? own - won / own : 0.0;
+    return lever > sqrt(LEADS) * scale(worst) ? lever : 0.0;
+}
+
 /* Lead the joints of redundant arm k, or of its group, away from their limits by its self-motion:
  * coopqp/control/lookahead/redundancy.py. */
 static void lead_away(Core *c, int k, const double *jacobian, const double *positions, double *slope) {
@@ -37,24 +91,28 @@ static void lead_away(Core *c, int k, const double *jacobian, const double *posi
         down[j] = largest * scale * (c->low[at(j)] + LIMIT_MARGIN - x);
         beyond[j] = maximum(own - up[j], down[j] - own) / scale;
     }
-    int worst = 0, found = 0;
-    for (int tries = 0; tries < n && !found; tries++) {
+    int worst = 0;
+    double lever = 0.0;
+    for (int tries = 0; tries < n && !(lever > 0.0); tries++) {
         worst = 0;
         for (int j = 1; j < n; j++)
             if (beyond[j] > beyond[worst]) worst = j;
         if (!(beyond[worst] > 0.0)) return;
-        found = self_motion(c, k, jacobian, worst, way) && way[worst] > LEADS;
+        const double x = positions[at(worst)], side = slope[at(worst)] > up[worst] ? -1.0 : 1.0;
+        const double left = side > 0.0 ? x - c->low[at(worst)] : c->high[at(worst)] - x;
+        lever = lever_of(c, k, jacobian, worst, side, left, way);
         beyond[worst] = -INFINITY;
     }
-    if (!found) return;
+    if (!(lever > 0.0)) return;
     double low = -INFINITY, high = INFINITY, z, missing = 0.0;
     double lows[MOST_GROUP_JOINTS], highs[MOST_GROUP_JOINTS], gives[MOST_GROUP_JOINTS];
     int moved = 0;
     for (int j = 0; j < n; j++) {
-        if (!(fabs(way[j]) > LEADS * way[worst])) continue;
-        const double own = slope[at(j)], a = (down[j] - own) / way[j], b = (up[j] - own) / way[j];
+        if (j != worst && !(fabs(way[j]) > LEADS * lever)) continue;
+        const double along = j == worst ? lever : way[j];
+        const double own = slope[at(j)], a = (down[j] - own) / along, b = (up[j] - own) / along;
         lows[moved] = minimum(a, b), highs[moved] = maximum(a, b);
-        gives[moved++] = c->scale[at(j)] / fabs(way[j]);
+        gives[moved++] = c->scale[at(j)] / fabs(along);
         low = maximum(low, minimum(a, b)), high = minimum(high, maximum(a, b));
     }
     z = minimum(maximum(0.0, low), high);

@@ -13,7 +13,7 @@ static int shrink_units(Core *c, double h) {
     const int own = c->unknowns - TWIST_AND_SHARES;
     int shrunk = 0;
     w = columns.topRows(c->joints).rightCols(own).lazyProduct(x.tail(own));
-    for (int k = 0; k < c->arms; k++) bends.col(k) = bend(c, k, w);
+    for (int k = 0; k < c->arms; k++) bends.col(k) = bend(c, k, c->jacobian, w);
     if (!two_velocities(c, c->jacobian, bends, Vector6::Zero(), nullptr, nullptr, back, nothing)) return 0;
     for (int k = 0, z = TWIST_AND_SHARES; k < c->arms; k++) {
         if (!leads_group(c, k)) continue;
