@@ -177,16 +177,16 @@ class QPController(OperatorCalls):
             self._fast = None
             return
         try:
+            self._catch_up()  # what others have asked for before
             call()
         finally:
             loop.release()
 
-    def _catch_up(self) -> None:
-        """Make calls of other threads, as far as one looks at another path: each such look costs more than a step."""
-        self._operator.looked = False
+    def _catch_up(self, *, in_step: bool = False) -> None:
+        """Make the calls of other threads; in a step as far as one looks at another path, which costs more than a step."""
         for calls in self._waiting.take():
             name, call = calls[-1]
-            if self._operator.looked and name not in RATE_CALLS:
+            if in_step and self._operator.looked and name not in RATE_CALLS:
                 return
             self._operator.make(name, call)
 
@@ -610,10 +610,11 @@ class QPController(OperatorCalls):
     @alone
     def _slow(self, q_measured: ArrayLike | None, dt: Any) -> ControlStep:
         self._loop.steps_here()
-        if self._waiting:
-            self._catch_up()
-            self._find_fast_step()
         operator = self._operator
+        if self._waiting:
+            operator.looked = False
+            self._catch_up(in_step=True)
+            self._find_fast_step()
         if operator.gear is not None and not self._minded:
             operator.override = operator.override if (share := operator.geared()) is None else share
         operator.before(self.accepted_dt(dt))
@@ -647,8 +648,7 @@ class QPController(OperatorCalls):
 
     @alone
     def __getstate__(self) -> dict[str, Any]:
-        while self._waiting:
-            self._catch_up()
+        self._catch_up()
         names = ("cell", "grasp", "dt", "options", "constraints", "kernel")
         state = {name: getattr(self, name) for name in names}
         own = {"started": self._started, "outside": self._outside, "operator": self._operator.memory()}

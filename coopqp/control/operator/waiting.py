@@ -43,13 +43,17 @@ class Waiting(Generic[_T]):
 
         Those at which the taker stops come first the next time, ahead of all that wait by then.
         """
+        yield from self._taken()
         found: dict[Hashable, list[_T]] = {}
-        for _ in range(0 if self._due else len(self._calls)):
+        for _ in range(len(self._calls)):
             kind, call = self._calls.popleft()
             calls = found.pop(kind, [])
             calls.append(call)
             found[kind] = calls
         self._due.extend(found.values())
+        yield from self._taken()
+
+    def _taken(self) -> Iterator[list[_T]]:
         while self._due:
             yield self._due[0]
             self._due.popleft()
