@@ -183,7 +183,7 @@ class QPController(OperatorCalls):
             loop.release()
 
     def _catch_up(self, *, in_step: bool = False) -> None:
-        """Make the calls of other threads; in a step as far as one looks at another path, which costs more than a step."""
+        """Make the calls of other threads; in a step as far as one looks at another path, which costs more than it."""
         for calls in self._waiting.take():
             name, call = calls[-1]
             if in_step and self._operator.looked and name not in RATE_CALLS:
