@@ -181,7 +181,7 @@ def bending(
     """By how much more the Hessian of z must be (r, r), so that no limit shakes the self-motion to and fro.
 
     The Lagrangian's second derivative along w = N z: past the time T the joints have bent by b = −A⁺ Ȧ(w) w, and
-    multipliers λ of the velocities are worth λᵀ b.
+    multipliers λ of the velocities are worth λᵀ b. All self-motions of arms that move together cost as much.
 
     Args:
         chain, q, J, R: see :func:`answer`.
@@ -199,7 +199,7 @@ def bending(
         size = float(z[own] @ z[own])
         cost = max(0.05, 5.0 * h) * float(pull[joints] @ bend[joints]) / size if size > 0.0 else 0.0
         if cost > 1.0:
-            more[own, own] = (cost - 1.0) / size * np.outer(z[own], z[own])
+            more[own, own] = (cost - 1.0) * np.eye(own.stop - own.start)
     return more
 
 

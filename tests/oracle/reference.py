@@ -96,7 +96,7 @@ class Reference:
             way = min(h * max(found.rate, 1e-3), self.path.duration - self.clock)
             weight = np.array([1.0] * 3 + [0.3] * 3)
             change = (self._mean_twist(R, way) - along) * weight
-            same = abs(way - span) <= 1e-6 * way or found.rate * h * np.linalg.norm(change) <= 2e-8
+            same = abs(way - span) <= 1e-6 * way or found.rate * h * np.linalg.norm(change) <= 1e-10
             if not found.rate > 0.0 or same:
                 break
             excess = span - way
