@@ -5,7 +5,8 @@ Places are sampled in each package and in the C code. At each, one change is mad
 like the package, then all others; of both those that execute the line, the quickest and the most particular first, up
 to a number of seconds. The map of lines and tests is measured once, folder by folder as it is needed, with coverage.py,
 and kept (``--map``; remove the file after larger changes); what a test does in another process is not in it. A mutant
-of C is compiled and meets the quick tests marked ``core``, those first that killed the most until then.
+of C is compiled and meets the quick tests marked ``core``, those first that killed the most until then, then golden
+runs and the oracle, then the others.
 
 A mutant that survives lacks a test, or is equivalent: then ``mutants/equivalent.py`` says why. A mutant that makes the
 tests run for ever is killed by its share of processor time, which another program's work does not use up.
@@ -23,7 +24,7 @@ import sys
 import tempfile
 import time
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -38,8 +39,9 @@ GROUPS = (
     "control", "planning", "model", "paths", "constraints", "solvers", "baselines", "collision", "forces", "studies",
     "files", "simulation", "C",
 )  # fmt: skip
-#: Tests of the compiled code.
+#: Tests of the compiled code, and the folders whose tests it meets first.
 CORE = "core and not slow"
+FIRST = ("tests/golden/", "tests/oracle/")
 
 
 def modules_of(group: str) -> list[str]:
@@ -111,14 +113,16 @@ class Trial:
         map_file: which test executes which line; what is missing is measured when it is asked for.
         seconds: of tests that a mutant meets in each of the two lines.
         slow: tests marked slow in the package's folder, too.
+        without: files of tests that no mutant meets.
     """
 
-    def __init__(self, copy: Copy, map_file: Path, *, seconds: float, slow: bool) -> None:
+    def __init__(self, copy: Copy, map_file: Path, *, seconds: float, slow: bool, without: Sequence[str] = ()) -> None:
         self._copy, self._reach, self._map_file, self._seconds = copy, Reach.of(map_file), map_file, seconds
         self._marks = ("not slow", "slow") if slow else ("not slow",)
         files = (f for f in (ROOT / "tests").rglob("test_*.py") if f.parent.name != "browser")
-        self._files = sorted(str(f.relative_to(ROOT)) for f in files)
-        self._core = [f for f in self._files if "mark.core" in (ROOT / f).read_text(encoding="utf-8")]
+        self._files = sorted({str(f.relative_to(ROOT)) for f in files} - set(without))
+        core = [f for f in self._files if "mark.core" in (ROOT / f).read_text(encoding="utf-8")]
+        self._core = sorted(core, key=lambda file: not file.startswith(FIRST))
         self._kills = Counter[str]()
 
     def test(self, mutant: Mutant) -> None:
@@ -191,6 +195,7 @@ def main() -> int:
     default = ROOT / "out" / "mutation_map.json"
     parser.add_argument("--map", type=Path, default=default, help="which test executes which line: made if missing")
     parser.add_argument("--json", type=Path, help="write each mutant and what came of it to this file")
+    parser.add_argument("--without", nargs="+", metavar="FILE", default=(), help="test files that no mutant meets")
     parser.add_argument("--resume", action="store_true", help="leave out what the file of --json says was killed")
     parser.add_argument("--list", action="store_true", help="print the mutants, and test none")
     args = parser.parse_args()
@@ -216,7 +221,7 @@ def main() -> int:
     mutants = [m for m in mutants if m.key not in known]
     print(f"{len(tested)} were killed before or are equivalent, {len(mutants)} are left", flush=True)
     with tempfile.TemporaryDirectory() as folder:
-        trial = Trial(Copy(Path(folder) / "tree"), args.map, seconds=args.seconds, slow=args.slow)
+        trial = Trial(Copy(Path(folder) / "tree"), args.map, seconds=args.seconds, slow=args.slow, without=args.without)
         if "C" in args.only and (killer := trial.first_failure()):
             print(f"without any mutation {killer} fails")
             return 2
