@@ -163,7 +163,7 @@ def record(case: str, arms: int, count: int) -> list[Recorded]:
         recorder.asked.clear()
         proposal = loop.propose(loop.observe(None, None))
         if number >= first:  # the first step linearises more than once
-            for form, qp in forms.of(proposal, recorder.asked[0], number).items():
+            for form, qp in forms.of(proposal, recorder.asked[-1], number).items():
                 found[form].append(qp)
         if loop.commit(proposal, time.perf_counter()).finished:
             break

@@ -19,10 +19,9 @@ static int view_errors(const Core *c, const Pose *carried, Twists &errors) {
     const Pose first = between(*c->pose, c->carried[0]);
     const Vector6 common = any_log6(first);
     for (int k = 0; k < c->arms; k++) {
-        if (!log6(from_to(first, between(*c->pose, carried[k])), errors.col(k))) return 0;
-        errors.col(k) += common;
+        errors.col(k) = common + any_log6(from_to(first, between(*c->pose, carried[k])));
     }
-    return 1;
+    return errors.allFinite();
 }
 
 /* What the first view's errors later are beyond the sum of its errors and of a way from there. */

@@ -79,6 +79,9 @@ struct Core {
     int (*bound_knot)(Core *c, int slot) = nullptr;
     /* May add self-motion to `evading_slope` at `evading_positions`; nullptr for none. 0 if it fails. */
     int (*evade)(Core *c) = nullptr;
+    /* Another solver answers the QP whose base and columns are filled in, into `x` and `pull`; 0 if it has no answer. */
+    int (*solve)(Core *c, int relax) = nullptr;
+    int width = 0; /* columns of the QP: of its unknowns, and of those by which the chain may part */
     /* Asks further constraints, whose rows go into the memory; −1 if they fail. */
     long (*ask)(Core *c, Question question) = nullptr;
     /* Does a piece of what bodies ask for where the next knot is expected, in `evading_positions`, with the slope of the
@@ -105,7 +108,6 @@ struct Arithmetic {
     void (*observe)(Core *c, const double *q, const double *dt);
     Outcome (*propose)(Core *c);
     Outcome (*answer)(Core *c);
-    Outcome (*go_on)(Core *c);
     Status (*commit)(Core *c);
     int (*read)(Core *c, double cap);
     int (*quiet)(const Core *c);

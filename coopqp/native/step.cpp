@@ -300,21 +300,56 @@ static double missed(const Core *c, double h) {
     return most * h;
 }
 
+/* Largest speed [m/s] at which an arm leaves the common motion of an answer. */
+static double parting_speed(const Core *c) {
+    const Proposal *p = c->proposal;
+    double most = 0.0;
+    for (int k = 0; k < c->arms; k++) {
+        if (follows_way(c, k)) continue;
+        const ArmColumns J = columns_of_arm(c, k, c->jacobian);
+        Vector6 made = Vector6::Zero();
+        for (int j = 0; j < J.cols(); j++) made += c->command[joint_behind(c, k, j)] * J.col(j);
+        const Vector6 along = grasps_move(c) ? Vector6(c->own_along.col(k)) : Vector6(c->along);
+        const Vector6 common = c->off_path + p->new_rate * along + p->path_share * c->path +
+                               p->grasp_share * c->grasp.col(k) + c->offsets.col(k);
+        most = fmax(most, (turned_back(c->pose->R, made) - common).head<3>().norm());
+    }
+    return most;
+}
+
+/* Whether the QP has an answer; by another solver if that is asked for. The iterations come from this core's own. */
+static bool solves(Core *c, double cap, int relax) {
+    Proposal *p = c->proposal;
+    p->relaxed = relax;
+    if (c->options->own_solver == 0.0) {
+        p->solved = 1.0;
+        return c->solve && c->solve(c, relax);
+    }
+    const int iterations = solve_condensed(c, cap, relax);
+    if (iterations < 0) return false;
+    p->iterations = iterations;
+    return true;
+}
+
+/* The QP; where its chain cannot be kept, that whose chain may part; where that has no answer either, all arms brake. */
 static Outcome settle_qp(Core *c, double cap) {
     Proposal *p = c->proposal;
     box(c, p->dt);
     const int outside = lead_back(c, p->dt);
-    p->outside = outside;
-    if (outside < 0 || !condense(c, cap)) return OPEN;
-    if (c->options->own_solver == 0.0) return FILLED;
     int soft = 0;
+    p->outside = outside;
     for (int r = 0; r < c->further_rows; r++) soft |= c->further_soft[r] != 0.0;
-    int iterations = solve_condensed(c, cap, 0);
-    p->relaxed = 0.0;
-    if (iterations < 0 && soft) iterations = solve_condensed(c, cap, 1), p->relaxed = 1.0;
-    if (iterations >= 0 && c->redundant && shrink_units(c, p->dt)) iterations = solve_condensed(c, cap, p->relaxed != 0.0);
-    p->iterations = iterations;
-    return iterations >= 0 && read_answer(c, cap) ? QP : OPEN;
+    if (outside >= 0 && condense(c, cap, false)) {
+        bool found = solves(c, cap, 0) || (soft && solves(c, cap, 1));
+        if (found && c->redundant && shrink_units(c, p->dt)) found = solves(c, cap, p->relaxed != 0.0);
+        if (found && read_answer(c, cap)) return QP;
+        if (condense(c, cap, true) && solves(c, cap, 1) && read_answer(c, cap)) {
+            p->parting = parting_speed(c);
+            return QP;
+        }
+    }
+    brake_now(c);
+    return QP;
 }
 
 /* The ranked answer at one linearisation: nominal, else the fastest rate on the path, else the QP. */
@@ -345,8 +380,6 @@ static void linearise_about(Core *c, const Vector &v) {
     carry_and_linearise(c, middle, c->pose->p, nullptr, c->jacobian);
 }
 
-static int answered(Outcome outcome) { return outcome != OPEN && outcome != FILLED; }
-
 /* Whether one linearisation is not enough for the command. */
 static int long_step(const Core *c) {
     const double h = c->proposal->dt, change = (c->command - c->guess).cwiseAbs().maxCoeff();
@@ -355,14 +388,13 @@ static int long_step(const Core *c) {
 }
 
 /* Linearise about the answer's own way until it settles, `least` times at least, and keep the answer that misses least:
- * near singularities a further one may miss more. Where no answer is found the definition does the same with any
- * solver. */
+ * near singularities a further one may miss more. */
 static Outcome settle_again(Core *c, double cap, Outcome outcome, int least) {
     const double h = c->proposal->dt;
     const bool few = some_have_few(c);
     double smallest = INFINITY;
     for (int done = 0;; done++) {
-        if (!answered(outcome) || !twists_made(c, c->command, h)) return OPEN;
+        if (!twists_made(c, c->command, h)) return outcome;
         const double miss = missed(c, h);
         const int best = miss < smallest;
         const int last = done == (int)EXTRA_AT_START || (done >= least && miss <= SETTLED);
@@ -376,8 +408,7 @@ static Outcome settle_again(Core *c, double cap, Outcome outcome, int least) {
         if (last) {
             c->offsets = c->best_offsets, c->foresees = c->best_foresees;
             if (few) c->whole_offsets = c->offsets, follow_part(c);
-            outcome = settle(c, cap);
-            return answered(outcome) ? outcome : OPEN;
+            return settle(c, cap);
         }
         for (int k = 0; k < c->arms; k++) c->foresees.col(k) = defect(c, k, c->guess);
         c->offsets = c->left_over + c->foresees;
@@ -402,14 +433,11 @@ static Outcome answer_along(Core *c) {
     linearise_about(c, c->guess);
     if (some_have_few(c)) keep_whole(c), follow_part(c);
     Outcome outcome = settle(c, p->cap);
-    if (first && !answered(outcome)) outcome = OPEN;
-    if (answered(outcome)) {
-        const int again = long_step(c);
-        if (first) c->first_guess = c->command;
-        if (first || again) outcome = settle_again(c, p->cap, outcome, again);
-        /* The velocities at the start and the middle of the first step serve as the velocities of two steps. */
-        if (first) c->stand_in = 2.0 * c->first_guess - c->command;
-    }
+    const int again = long_step(c);
+    if (first) c->first_guess = c->command;
+    if (first || again) outcome = settle_again(c, p->cap, outcome, again);
+    /* The velocities at the start and the middle of the first step serve as the velocities of two steps. */
+    if (first) c->stand_in = 2.0 * c->first_guess - c->command;
     p->outcome = outcome;
     return outcome;
 }
@@ -482,20 +510,12 @@ static int look_at_pace(Core *c) {
     return 1;
 }
 
-/* The outcome, or that of answers over other shares of the clock. */
-static Outcome answer_at_pace(Core *c, Outcome outcome) {
-    while (answered(outcome) && look_at_pace(c)) outcome = answer_along(c);
-    return outcome;
-}
-
 /* The ranked answer, over the share of the clock that it takes. */
 static Outcome answer(Core *c) {
-    c->proposal->paces = 0.0;
-    return answer_at_pace(c, answer_along(c));
+    Outcome outcome = answer_along(c);
+    for (c->proposal->paces = 0.0; look_at_pace(c);) outcome = answer_along(c);
+    return outcome;
 }
-
-/* The same, from an answer on that is by another solver. */
-static Outcome go_on(Core *c) { return answer_at_pace(c, (Outcome)(int)c->proposal->outcome); }
 
 /* Find the command under a cap; returns an outcome. Nothing of the state changes. */
 static Outcome propose_capped(Core *c) {
@@ -517,10 +537,6 @@ static Outcome propose_capped(Core *c) {
     wish_along(c);
     p->rows = c->given_rows;
     if (c->few) keep_whole(c);
-    if (p->has_errors == 0.0) {
-        p->outcome = OPEN;
-        return OPEN;
-    }
     corrections(c, h);
     return answer(c);
 }
@@ -539,13 +555,13 @@ static Outcome answer_with_rows(Core *c) {
     if (rows < 0 || rows > most_given(c)) return ASK;
     c->given_rows = (int)rows;
     Outcome outcome = answer(c);
-    for (int i = 0; rows && i < (int)MOST_TIGHTENINGS && outcome < FILLED; i++) {
+    for (int i = 0; rows && i < (int)MOST_TIGHTENINGS; i++) {
         const long tighter = c->ask(c, ASK_TIGHTER);
         if (tighter < 0) return ASK;
         if (!tighter) break;
         outcome = answer(c);
     }
-    return outcome < FILLED ? outcome : ASK;
+    return outcome;
 }
 
 /* Find the command for the observed sample, asking for rows where they may bind. */
@@ -553,11 +569,11 @@ static Outcome settle_step(Core *c) {
     c->given_rows = c->knot_asked = c->surveyed = 0;
     const Outcome outcome = propose(c);
     if (c->options->certified == 0.0) return outcome;
-    if (outcome < FILLED && quiet_step(c)) {
+    if (quiet_step(c)) {
         if (!c->knot_asked) c->ask(c, ASK_SURVEY); /* not every piece of work on bodies in one step */
         return outcome;
     }
-    if (outcome < FILLED && c->ask(c, ASK_CLEAR) == 1) return outcome;
+    if (c->ask(c, ASK_CLEAR) == 1) return outcome;
     const Outcome found = answer_with_rows(c);
     c->proposal->outcome = found;
     return found;
@@ -726,6 +742,8 @@ static Status commit(Core *c) {
     for (int i = 0; i < (int)r->bindings && stopped && p->reason == NO_REASON; i++)
         if (off_path[6 + 4 * i] == PATH_JUMP && c->ahead->jump_by != 0.0)
             p->reason = PATH_JUMPS, p->reason_a = c->ahead->jump_at, p->reason_b = c->ahead->jump_by;
+    if (p->braked != 0.0 && p->reason == NO_REASON) p->reason = UNSOLVED;
+    r->braked = p->braked != 0.0 && p->hold == 0.0;
     c->loop->said = status;
     r->dt = h, r->clock = clock, r->clock_next = clock_next, r->rate = share, r->status = status;
     r->reason = p->reason, r->reason_arm = p->reason_arm, r->reason_a = p->reason_a, r->reason_b = p->reason_b;

@@ -12,13 +12,13 @@
 
 /* Objects of Python that a Core holds: callables, empty for none, and what a step is made of. */
 enum Held {
-    OWN_PATH, BOUND_KNOT, STOPPING, EVADE, SURVEY_AHEAD, CLEAR, FURTHER_ROWS, TIGHTENED, SURVEY_HERE, /* put numbers into the memory */
+    OWN_PATH, BOUND_KNOT, STOPPING, EVADE, SOLVE, SURVEY_AHEAD, CLEAR, FURTHER_ROWS, TIGHTENED, SURVEY_HERE, /* put numbers into the memory */
     TELL,                                                                    /* of a step that forces say something of */
     LOOK,                                                                    /* at a step, where that is due */
     STEP_TYPE, CONTEXT, STATUS_NAMES,
     OBJECTS
 };
-static const char *const HELD[OBJECTS] = {"own_path", "bound_knot", "stopping", "evade", "survey_ahead", "clear",
+static const char *const HELD[OBJECTS] = {"own_path", "bound_knot", "stopping", "evade", "solve", "survey_ahead", "clear",
                                           "further_rows", "tightened", "survey_here", "tell", "look", "step_type", "context", "status_names"};
 
 struct Field {
@@ -81,7 +81,7 @@ static long ask_constraints(Core *c, Question question);
 /* Lay out the fields in one piece of memory that is zero, with a gap after each. */
 static void lay_out(BoundCore *self) {
     const size_t n = self->arms, nv = self->joints, nq = self->nq, unknowns = self->unknowns, past = self->past;
-    const size_t rows = self->rows, x = unknowns + nv + rows, m = 2 * nv + rows; /* unknowns and rows of the largest QP */
+    const size_t rows = self->rows, x = unknowns + 6 * n + nv + rows, m = 2 * nv + rows; /* unknowns and rows of the largest QP */
     const size_t scratch = x * m + 3 * (m + x) + 2 * x * (x + 3) + 64 * n + 8 * nv;
     size_t end = 0;
 #define ADD(type, name, count) self->fields.push_back({#name, end, (count)}), end += self->fields.back().size + GAP;
@@ -196,7 +196,7 @@ static int traverse(PyObject *object, visitproc visit, void *arg) {
 static int clear(PyObject *object) {
     if (!nb::inst_ready(object)) return 0;
     BoundCore *self = nb::inst_ptr<BoundCore>(object);
-    self->own_path = nullptr, self->bound_knot = nullptr, self->evade = nullptr, self->survey_ahead = nullptr;
+    self->own_path = nullptr, self->bound_knot = nullptr, self->evade = nullptr, self->solve = nullptr, self->survey_ahead = nullptr;
     for (nb::object &held : self->objects) held.reset();
     return 0;
 }
@@ -283,6 +283,7 @@ static void bind(BoundCore &self, const nb::kwargs &given) {
     const auto where = [&self](Held held, auto call) { return self.objects[held] ? call : nullptr; };
     self.own_path = where(OWN_PATH, +[](Core *c, double clock, int twist) { return filled_in(c, OWN_PATH, clock, twist); });
     self.evade = where(EVADE, +[](Core *c) { return filled_in(c, EVADE); });
+    self.solve = where(SOLVE, +[](Core *c, int relax) { return filled_in(c, SOLVE, relax, c->width); });
     self.bound_knot = where(BOUND_KNOT, bound_knot);
     self.survey_ahead = where(SURVEY_AHEAD, +[](Core *c) {
         const int done = filled_in(c, SURVEY_AHEAD);
@@ -362,8 +363,15 @@ static void set_past_class(nb::handle object, PyObject *name, nb::handle value) 
     if (!value || PyObject_GenericSetAttr(object.ptr(), name, value.ptr()) < 0) throw nb::python_error();
 }
 
+/* The state and the step's length are numbers; no caller can make them others, but memory that was restored may be. */
+static void check_numbers(const BoundCore &self) {
+    if (std::isfinite(self.positions.sum() + self.velocity.sum() + self.proposal->dt)) return;
+    throw nb::value_error("the controller's memory holds numbers that are none: reset it");
+}
+
 /* Move on, and make a ControlStep from the record; its numbers as bytes where there is no such class. */
 static nb::object commit(BoundCore &self) {
+    check_numbers(self);
     const Status status = self.run<&Arithmetic::commit>();
     const int vectors = 2 * self.nq + self.joints + 6 + 4 * (int)self.record->bindings;
     nb::bytes record(static_cast<const void *>(self.record), sizeof(Record) + (size_t)vectors * sizeof(double));
@@ -408,7 +416,7 @@ struct Stepping {
 static nb::object command(BoundCore &self) {
     const Outcome outcome = self.run<&Arithmetic::settle_step>();
     raise_interrupt(&self);
-    if (outcome < FILLED) return commit(self);
+    if (outcome != ASK && self.proposal->solved == 0.0) return commit(self);
     self.handed = true;
     return nb::none();
 }
@@ -436,13 +444,6 @@ static int propose(BoundCore &self, long rows, bool again) {
     return outcome;
 }
 
-/* The outcome after an answer by another solver, which may take another share of the clock than was expected. */
-static int go_on(BoundCore &self) {
-    const Outcome outcome = self.run<&Arithmetic::go_on>();
-    raise_interrupt(&self);
-    return outcome;
-}
-
 /* The outcome for the observed sample: rows of bodies in the memory are asked for where they may bind. */
 static int settle(BoundCore &self) {
     const Outcome outcome = self.run<&Arithmetic::settle_step>();
@@ -456,7 +457,7 @@ static Py_ssize_t advance(BoundCore &self, Py_ssize_t steps, const InOrNone &q) 
     check_fit(!q.data || q.is_row(self.nq));
     for (; done < steps; done++) {
         self.run<&Arithmetic::observe>(q.data, nullptr);
-        if (self.run<&Arithmetic::propose>() >= FILLED || self.interrupt) break;
+        if (self.run<&Arithmetic::propose>() == ASK || self.interrupt) break;
         if (self.options->certified != 0.0 && !self.run<&Arithmetic::quiet>()) break;
         self.run<&Arithmetic::commit>();
     }
@@ -589,7 +590,6 @@ void bind_step(nb::module_ &m) {
              [](BoundCore &self) { return self.stepper && self.stepper != PyThread_get_thread_ident(); })
         .def("observe", observe)
         .def("propose", propose)
-        .def("go_on", go_on)
         .def("settle", settle)
         .def("read", [](BoundCore &self, double cap) { return self.run<&Arithmetic::read>(cap) != 0; })
         .def("commit", commit)

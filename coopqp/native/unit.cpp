@@ -35,12 +35,13 @@ namespace BUILD {
 #include "preview.cpp"
 #include "braking.cpp"
 #include "self_motion.cpp"
+#include "brake.cpp"
 #include "step.cpp"
 #include "servo.cpp"
 #include "relax.cpp"
 #include "allow.cpp"
 
-const Arithmetic arithmetic = {start,       start_path, observe, propose,             answer,         go_on,       commit,
+const Arithmetic arithmetic = {start,       start_path, observe, propose,             answer,         commit,
                                read_answer, quiet_step, settle_step, move_grasp, mind, minded, carry_and_linearise, least_distance,
                                go_over,     relax,      allow};
 

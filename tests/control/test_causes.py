@@ -81,7 +81,7 @@ def test_every_reason_has_a_cause() -> None:
     assert named["CHAIN_PARTED"] is Cause.COMMANDED_CHAIN
     assert named["CHAIN_APART"] is None  # it slows nothing
     assert named["TOUCHING"] is Cause.CONTACT
-    assert named.keys() == inputs | apart | {"CHAIN_PARTED", "CHAIN_APART", "TOUCHING"}
+    assert named.keys() == inputs | apart | {"CHAIN_PARTED", "CHAIN_APART", "TOUCHING", "UNSOLVED"}
 
 
 # -- in a run --------------------------------------------------------------------------------------------------------

@@ -71,8 +71,15 @@ class Recorded:
         assert solution.usable, solution
         return program.read_condensed(solution.x, self.terms, base, B)
 
-    def full(self, box: Any = None, *, slack: bool = False, solver: str = "daqp") -> Answer:
-        solution = make_solver(solver).solve(self.program.full(self.terms, box or self.box, slack=slack))
+    def parted(self, box: Any) -> Answer:
+        """The answer whose chain may part."""
+        problem, base, B = self.program.condensed(self.terms, self.pieces, box, parts=True)
+        solution = make_solver("ldp").solve(problem)
+        assert solution.usable, solution
+        return self.program.read_condensed(solution.x, self.terms, base, B)
+
+    def full(self, box: Any = None, *, solver: str = "daqp") -> Answer:
+        solution = make_solver(solver).solve(self.program.full(self.terms, box or self.box))
         assert solution.usable, solution
         return self.program.read_full(solution.x, self.terms)
 
@@ -346,7 +353,7 @@ def test_slack_changes_nothing_where_the_chain_can_be_kept(
 ) -> None:
     for recorded in steps(paper_lift(), monkeypatch, every=60):
         box = a_box(rng, recorded, width=0.1)
-        relaxed = recorded.full(box, slack=True)
+        relaxed = recorded.parted(box)
         assert recorded.program.parting(relaxed, recorded.terms) < 1e-5
         assert np.abs(relaxed.velocity - recorded.full(box).velocity).max() < 1e-3
 
@@ -361,7 +368,7 @@ def test_slack_parts_the_arms_no_more_than_it_must(monkeypatch: pytest.MonkeyPat
     box = Box(lower, upper, np.zeros(n, dtype=bool), np.zeros(n))
     problem, _, _ = recorded.program.condensed(recorded.terms, recorded.pieces, box)  # type: ignore[arg-type]
     assert not make_solver("daqp").solve(problem).usable
-    answer = recorded.full(box, slack=True)
+    answer = recorded.parted(box)
     parted = recorded.program.parting(answer, recorded.terms)
     assert 1e-4 < parted < 0.1
     assert np.all(answer.velocity >= lower - 1e-8)
@@ -380,7 +387,7 @@ def test_slack_always_has_an_answer(make: Any, monkeypatch: pytest.MonkeyPatch, 
             middle, width = rng.normal(size=n) * 0.3, 10.0 ** rng.uniform(-4.0, 0.0)
             flags = rng.uniform(size=n) < 0.2
             box = Box(middle - width, middle + width, flags, middle * flags)
-            answer = recorded.full(box, slack=True)  # asserts that it is solved
+            answer = recorded.parted(box)  # asserts that it is solved
             assert np.maximum(answer.velocity - box.upper, box.lower - answer.velocity).max() < 1e-6
             assert answer.rate > -1e-9
             assert np.isfinite(recorded.program.parting(answer, recorded.terms))

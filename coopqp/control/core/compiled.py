@@ -1,7 +1,7 @@
 """The compiled loop: the plain loop's three calls over memory that Python and the core share.
 
-Python goes on from the same memory where the core leaves a step open: where the arms have to part or to brake, and
-where another solver than the core's own is asked for.
+The core calls back for a path, a constraint, or a solver of the user's. It leaves a step open where rows of constraints
+may bind that Python has not given yet.
 """
 
 from __future__ import annotations
@@ -26,10 +26,8 @@ from coopqp.control.options import QPOptions
 from coopqp.control.step.constraint_set import Constraints
 from coopqp.control.step.contact import Contact, filter_time, handed
 from coopqp.control.step.decoding import STATUSES, RecordReader
-from coopqp.control.step.linearised import LinearisedStep, StepInput, is_long
-from coopqp.control.step.priorities import StepSolver
+from coopqp.control.step.priorities import StepSolver, unsolved
 from coopqp.control.step.velocity_bounds import VelocityBox
-from coopqp.control.step.views import view_errors
 from coopqp.errors import InvalidInputError
 from coopqp.model.cell import RobotCell
 from coopqp.model.chain import Chain
@@ -48,13 +46,8 @@ from coopqp.spatial import Array
 _NOT_FINITE, _PATH_FAILED, _LOOK_AHEAD_FAILED, _CONSTRAINT_FAILED = (
     layout.REASONS.index(name) for name in ("NOT_FINITE", "PATH_FAILED", "LOOK_AHEAD_FAILED", "CONSTRAINT_FAILED")
 )
-#: Fields that the definition answers from.
-_GIVEN = (
-    "pose", "positions", "velocity", "before", "predicted", "foreseen", "asked_shift", "along", "own_along", "measured",
-    "null_along", "null_offset",
-)  # fmt: skip
 _NO_SHIFTS = np.zeros(0)
-_QP, _FILLED, _OPEN, _ASK = (layout.OUTCOMES.index(name) for name in ("QP", "FILLED", "OPEN", "ASK"))
+_ASK = layout.OUTCOMES.index("ASK")
 
 
 @final
@@ -88,7 +81,7 @@ class CompiledLoop:
         chain, box = Chain(cell, grasp), VelocityBox(cell)
         shares = self._shares = options.common_error.shares(cell)
         self.solver = StepSolver(chain, box, options)
-        self._chain, self._box, self._definition = chain, box, LinearisedStep(chain, box, shares, self.solver, options)
+        self._chain, self._box = chain, box
         unit = self.solver.program.units
         memory = self._memory = build_memory(chain, box, shares, unit, options, dt, arithmetic=arithmetic)
         self.at, self._core, self._loop, self._proposal = memory.at, memory.core, memory.loop, memory.proposal
@@ -99,6 +92,9 @@ class CompiledLoop:
         self._fixed = [pin.SE3.Identity()] * len(cell)
         numbers = memory.options
         numbers.own_solver = self.solver.name == "ldp"
+        self._report: SolverReport | None = None
+        if not numbers.own_solver:
+            self._core.bind(solve=self._solve)
         self._certified = constraints.certified
         numbers.certified = self._certified is not None
         numbers.leaves_path = constraints.gives_way
@@ -316,7 +312,8 @@ class CompiledLoop:
     def try_step(self) -> tuple[float, Array]:
         """σ that a step from here keeps, and the change of velocity, as in the plain loop."""
         self._core.observe(None, None)
-        self._kept(self._core.propose(self._put_rows(), False))
+        self._core.propose(self._put_rows(), False)
+        self._keep_rows()
         self._said.clear()
         p = self._proposal
         rate = 0.0 if p.braked else min(p.cap, p.new_rate)
@@ -472,7 +469,7 @@ class CompiledLoop:
             at["measured"][:] = 0.0
 
     def finish(self, outcome: int | None = None) -> ControlStep:
-        """Answer an open step, and commit it."""
+        """Answer an open step, and commit it with what a solver of the user's has said."""
         p = self._proposal
         outcome = int(p.outcome) if outcome is None else outcome
         if outcome == _ASK:
@@ -480,22 +477,21 @@ class CompiledLoop:
             outcome = self._core.propose(rows, not held)
         reason = self._said.get(int(p.reason), "")
         self._said.clear()
-        report, open_reason = self._kept(outcome)
-        reason = reason or ("" if p.reason else open_reason)
+        self._keep_rows()
+        report, braked = self._report if p.solved else None, p.braked and not p.reason
         step: ControlStep = self._core.commit()
+        if report is not None and braked:
+            reason = unsolved(report.message)
         if report is not None or reason:
             if reason and step.status is Status.OFF_PATH:  # how far it is off comes first
                 reason = f"{step.reason.partition('; ')[0]}; {reason}"
             amend(step, **({} if report is None else {"solver": report}), **({"reason": reason} if reason else {}))
         if p.reason == _CONSTRAINT_FAILED:
             amend(step, cause=self._held_by)
-        if p.braked and not p.hold:
-            amend(step, cause=Cause.SOLVER)
         return step
 
-    def _kept(self, outcome: int) -> tuple[SolverReport | None, str]:
-        """Answer an open step; again with tighter rows if the command breaks their constraints."""
-        report, reason = self._answered(outcome)
+    def _keep_rows(self) -> None:
+        """Answer again with tighter rows where the command breaks their constraints."""
         for _ in range(MOST_TIGHTENINGS if len(self._further) else 0):
             h, v = self._proposal.dt, self.at["command"]
             rows = self.constraints.tightened(self._further, self.cell.moved(self.q, h * v), v, h)
@@ -503,24 +499,7 @@ class CompiledLoop:
                 break
             self._further = rows
             self.at["further_lower"][: len(rows)] = rows.lower
-            report, reason = self._answered(self._core.propose(len(rows), True))
-        return report, reason
-
-    def _answered(self, outcome: int) -> tuple[SolverReport | None, str]:
-        """Answer an open step. Returns the solver's report, None for the core's own answer, and why the arms brake."""
-        report, reason, p = None, "", self._proposal
-        while outcome in (_FILLED, _OPEN):
-            if outcome == _FILLED:
-                outcome, report = self._solve()
-                if is_long(self.at["command"], self.at["guess"], p.dt):
-                    outcome = _OPEN  # the definition linearises again, with any solver
-            if outcome == _OPEN:
-                report, reason = self._by_definition()
-            paces = p.paces
-            outcome = self._core.go_on()
-            if p.paces > paces:  # answered again by the core
-                report, reason = None, ""
-        return report, reason
+            self._core.propose(len(rows), True)
 
     def _as_measured(self, q: Any) -> Array:
         if type(q) is np.ndarray and q.dtype == np.float64 and q.shape == (self.cell.nq,) and q.flags.c_contiguous:
@@ -565,75 +544,23 @@ class CompiledLoop:
         lower, upper, soft, owner = (at[f"further_{name}"][:m].copy() for name in ("lower", "upper", "soft", "owner"))
         return Rows(at["further"][: m * nv].reshape(m, nv).copy(), lower, upper, soft, owner.astype(int))
 
-    def _solve(self) -> tuple[int, SolverReport]:
-        """The condensed QP that the core has filled in, by a solver of the user's choice."""
-        at, p = self.at, self._proposal
-        further = self._all_rows()
-        rows, unknowns = self.cell.nv + len(further), self.solver.program.units.size
-        box = self._box  # the definition's, as the core has found it
+    def _solve(self, relax: int, width: int) -> bool:
+        """The condensed QP that the core has filled in, by a solver of the user's choice; False without an answer."""
+        at, nv, further = self.at, self.cell.nv, self._all_rows()
+        rows, unknowns = nv + len(further), self.solver.program.units.size
+        box = self._box  # as the core has found it
         box.lower[:], box.upper[:], box.recovery[:] = at["lower"], at["upper"], at["recovery"]
         box.outside[:] = at["outside"] != 0.0
-        box.any_outside = bool(box.outside.any())
-        base, columns = at["base"][:rows], at["columns"][: rows * unknowns].reshape(rows, unknowns)
-        if self._chain.redundancy:
-            self._place_chain()
-            self._chain.linearise(self.cell.moved(self.q, 0.5 * p.dt * at["guess"]), at["pose"][9:])
-        x, report = self.solver.solve_filled(base, columns, at["unit"], p.cap, p.dt, further)
-        if x is None:
-            return _OPEN, report
-        at["x"][:unknowns] = x
-        p.outcome = _QP if self._core.read(p.cap) else _OPEN
-        return int(p.outcome), report
-
-    def _place_chain(self) -> None:
-        """The tools of the definition's chain are where the core's are."""
-        if self._shift is not None:
-            self._chain.shift_grasp(self._shift)
-        if self._motion is not None:
-            self._chain.place(self._motion.placements(self._loop.clock))
-            self._chain.apart = self._motion.apart(self._loop.clock)
-
-    def _by_definition(self) -> tuple[SolverReport, str]:
-        """Answer this step by the plain definition, in the core's memory."""
-        at, p, box = self.at, self._proposal, self._box
-        self._place_chain()
-        if self._motion is not None:
-            self._shares[:] = at["shares"].reshape(-1, 6)
-        given = self._given()
-        found = self._definition.answer(given)
-        terms, answer = found.terms, found.answer
-        for name, value in {
-            "command": answer.velocity, "off_path": answer.off_path, "lower": box.lower, "upper": box.upper,
-            "errors": given.errors, "grasp": terms.grasp_corrections, "offsets": terms.offsets,
-            "path": terms.path_correction, "foresees": found.foreseen,
-            "stand_in": found.stand_in if given.first else given.v,
-        }.items():  # fmt: skip
-            at[name][:] = np.ravel(value)
-        at["along" if terms.along.ndim == 1 else "own_along"][:] = terms.along.ravel()
-        p.new_rate, p.grasp_share, p.path_share = answer.rate, answer.grasp_share, answer.path_share
-        p.parting, p.braked, p.binding_row, p.bindings = answer.chain, answer.braked, -1.0, len(answer.active)
-        p.iterations, p.closes, p.made = answer.report.iterations, found.closes, found.makes_up
-        at["bindings"][: 2 * len(answer.active)] = np.ravel(answer.active)
-        p.outcome = _QP
-        return answer.report, answer.reason
-
-    def _given(self) -> StepInput:
-        p, loop = self._proposal, self._loop
-        at = {name: self.at[name].copy() for name in _GIVEN}
-        if self._chain.deficient:  # before what their joints cannot follow is left out
-            at["along"], at["own_along"] = self.at["whole_along"].copy(), self.at["whole_own"].copy()
-        predicted, foreseen, asked = (at[name].reshape(-1, 6) for name in ("predicted", "foreseen", "asked_shift"))
-        known, pose = bool(loop.has_predicted), _pose_of(at["pose"])
-        carried = self._chain.carried(self.q)
-        along = at["along"] if self._motion is None else at["own_along"].reshape(-1, 6)
-        return StepInput(
-            q=self.q, positions=at["positions"], carried=carried, errors=view_errors(carried, pose, carried[0]),
-            v=at["velocity"], v_before=at["before"], h=p.dt, cap=p.cap, pose=pose, span=p.span, along=along,
-            measured=at["measured"] if p.has_measured else None, predicted=predicted if known else None,
-            foreseen=foreseen if known else 0.0, last_dt=loop.last_dt,
-            asked=asked if known and loop.shift_asked else None, null_along=at["null_along"],
-            null_offset=at["null_offset"], further=self._all_rows(), first=bool(loop.first), hold=bool(p.hold),
-        )  # fmt: skip
+        base, columns = at["base"][:rows], at["columns"][: rows * width].reshape(rows, width)
+        solution, self._report = self.solver.solve_filled(
+            base, columns, further, cap=self._proposal.cap, relax=bool(relax), parts=width > unknowns
+        )
+        if not solution.usable:
+            return False
+        at["x"][:width] = solution.x[:width]
+        pull = self.solver.program.pull(solution, columns, box) if self._chain.redundancy else None
+        at["pull"][:] = 0.0 if pull is None else pull
+        return True
 
 
 def _numbers_of(pose: pin.SE3) -> Array:

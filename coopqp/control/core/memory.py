@@ -20,6 +20,7 @@ from coopqp.model.chain import Chain, moving_columns
 from coopqp.model.links import joint_links
 from coopqp.native import layout
 from coopqp.native.constants import (
+    CALM,
     LARGEST_MOVE,
     MOST_GROUP_JOINTS,
     MOST_JOINTS,
@@ -120,7 +121,9 @@ def put_options(memory: Memory, chain: Chain, box: VelocityBox, o: QPOptions, dt
     slope = (p or PreviewOptions()).slope(accelerates=box.accelerates, dt=dt)
     values: dict[str, float] = {
         "nominal_dt": dt, "accelerates": box.accelerates, "recovery_unit": w.recovery**-0.5,
-        "relax_unit": w.clearance**-0.5, "rein_slope": slope, "posture_gain": o.posture.gain,
+        "relax_unit": w.clearance**-0.5, "part_unit": w.chain**-0.5,
+        "calm_unit": max(w.posture, CALM * w.chain) ** -0.5,
+        "rein_slope": slope, "posture_gain": o.posture.gain,
         "slow_from": -1.0 if s.slow_from is None else s.slow_from, "stall_samples": s.stall_samples or 0,
         "dt_low": s.dt_range[0], "dt_high": s.dt_range[1], "watches_force": s.stiffness is not None,
         "apart_hold": math.inf if s.apart_from is None else s.apart_from,

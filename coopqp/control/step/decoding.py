@@ -14,6 +14,7 @@ from coopqp.control.monitoring.options import SupervisionOptions
 from coopqp.control.monitoring.supervision import refused_dt, unmeasured
 from coopqp.control.operator.way import Way
 from coopqp.control.step.constraint_set import Constraints
+from coopqp.control.step.priorities import unsolved
 from coopqp.control.step.verdict import cause_of, too_close
 from coopqp.model.cell import RobotCell
 from coopqp.model.chain import moving_columns
@@ -35,6 +36,7 @@ CAUSES = {code: Cause.TRACKING if name in _BY_ARMS else Cause.INPUT for name, co
     _REASONS["CHAIN_APART"]: None,
     _REASONS["TOUCHING"]: Cause.CONTACT,
     _REASONS["CHAIN_PARTED"]: Cause.COMMANDED_CHAIN,
+    _REASONS["UNSOLVED"]: Cause.SOLVER,
 }
 STATUSES = tuple(Status[name.replace("FAULTED", "FAULT")] for name in layout.STATUSES)
 
@@ -115,6 +117,8 @@ class RecordReader:
         return float(s.apart)
 
     def _read_cause(self, s: Any, r: Array) -> Cause | None:
+        if s.braked:
+            return Cause.SOLVER
         status, code = STATUSES[int(s.status)], int(s.reason)
         watched = CAUSES[code] if code else None
         binding = self._read_binding(s, r)
@@ -161,6 +165,7 @@ class RecordReader:
 _BOTH = (_REASONS["CHAIN_APART"], _REASONS["CHAIN_PARTED"])
 #: The sentence of each reason, by the joint or arm i and two numbers a and b. BAD_DT and PATH_JUMPS have their own.
 _SENTENCES = {
+    "UNSOLVED": unsolved(""),
     "NO_REASON": "",
     "TOUCHING": "the arms hold",
     "OFF_CIRCLE": "q_measured[{i}] and [{next}] are no cosine and sine (norm {a:.3g})",

@@ -6,9 +6,9 @@ With the arms' kinematics inverted, every admissible command of a perfect chain 
 
 so the unknowns are the off-path twist s (6), the path rate σ, the shares ρ_g and ρ_p of the grasp and path
 corrections and z: nine plus the redundancy, whatever the number of arms, with a row per joint. That is the
-**condensed form**. The **full form** keeps the joint velocities as unknowns and the chain as equalities; it is the
-reference that the condensed form is tested against. The **slack form** lets the chain part, at a price above all
-else, for the case in which the limits leave no other answer.
+**condensed form**. Where the limits leave no answer, each arm may part from the others by a twist of its own, at a
+price above all else. The **full form** keeps the joint velocities as unknowns and the chain as equalities; it is the
+reference that the condensed form is tested against.
 
 Variables are scaled so that the condensed Hessian is the identity: a least-distance problem. The core's counterpart is
 ``program.cpp``.
@@ -26,6 +26,7 @@ from coopqp.constraints.velocity import Rows, no_rows
 from coopqp.control.step.self_motion import shrunk_units
 from coopqp.control.step.velocity_bounds import VelocityBox
 from coopqp.model.chain import Chain
+from coopqp.native.constants import CALM
 from coopqp.solvers.problem import QpProblem, QpSolution
 from coopqp.spatial import Array, for_twists
 
@@ -129,6 +130,9 @@ class StepProgram:
         self._twist_scale = 1.0 / np.sqrt(w.off_path * self.metric)
         self._share_scale = 1.0 / np.sqrt([w.rate, w.grasp, w.path])
         self._posture_scale = 1.0 / float(np.sqrt(w.posture))
+        # Twists by which an arm parts from the others; self-motion beside them costs no less than this share of them.
+        self._part_scale = 1.0 / np.sqrt(w.chain * self.metric)
+        self._calm_scale = 1.0 / float(np.sqrt(max(w.posture, CALM * w.chain)))
         self.recovery_scale = 1.0 / float(np.sqrt(w.recovery))
         self.relax_scale = 1.0 / float(np.sqrt(w.clearance))
         self.units = np.concatenate(
@@ -164,19 +168,26 @@ class StepProgram:
         further: Rows | None = None,
         *,
         relax: bool = False,
+        parts: bool = False,
         units: Array | None = None,
     ) -> tuple[QpProblem, Array, Array]:
         """The condensed form. Returns the problem and (base, B) with v = base + B x.
 
-        x = [y (d), (cap − σ), (1 − ρ_g), (1 − ρ_p), z, r], each divided by its scale; r of the joints outside and, with
-        ``relax``, of the further rows that may give way. ``units`` are those of :meth:`units_condensed`.
+        x = [y (d), (cap − σ), (1 − ρ_g), (1 − ρ_p), z, t, r], each divided by its scale; r of the joints outside and,
+        with ``relax``, of the further rows that may give way. With ``parts`` the chain may part by t (6N), the twists
+        by which the arms leave the common motion. ``units`` are those of :meth:`units_condensed`.
         """
         S, further = self._twist_basis(terms), _or_none(further, self.chain.nv)
         shares = np.column_stack([pieces.along, pieces.grasp, pieces.path]) * self._share_scale
         slack = self.chain.joint_columns(terms.to_world @ S)
         base = pieces.command(terms.rate_cap)
-        null = self._posture_scale * self.chain.null_basis()
+        null = (self._calm_scale if parts else self._posture_scale) * self.chain.null_basis()
         B = np.hstack([slack, -shares, null if units is None else null * units])
+        if parts:
+            N = self.chain.n_arms
+            own = np.zeros((N, 6, N, 6))
+            own[range(N), :, range(N)] = terms.to_world * self._part_scale
+            B = np.hstack([B, self.chain.joint_columns(own.reshape(N, 6, 6 * N))])
         base_rows, B_rows = np.concatenate([base, further.G @ base]), np.vstack([B, further.G @ B])
         problem = self.least_distance(
             base_rows, B_rows, box, further, rate_cap=terms.rate_cap, shares_at=S.shape[1], relax=relax
@@ -227,12 +238,20 @@ class StepProgram:
     def units_condensed(self, solution: QpSolution, B: Array, box: VelocityBox, h: float) -> Array | None:
         """Units of the self-motions that a solution asks for: see :mod:`coopqp.control.step.self_motion`."""
         chain = self.chain
-        if not chain.redundancy or solution.y_rows is None or solution.y_eq is None:
+        pull = self.pull(solution, B, box) if chain.redundancy else None
+        if pull is None:
             return None
-        pull = solution.y_rows[: chain.nv].copy()
-        pull[box.outside] += solution.y_eq
         own = slice(B.shape[1] - chain.redundancy, B.shape[1])
-        return shrunk_units(chain, solution.x[own], B[: chain.nv, own], pull / _row_norms(B[: chain.nv]), h)
+        return shrunk_units(chain, solution.x[own], B[: chain.nv, own], pull, h)
+
+    def pull(self, solution: QpSolution, B: Array, box: VelocityBox) -> Array | None:
+        """Multipliers of the joints' velocities (nv,), positive at an upper bound; None if the solver gives none."""
+        if solution.y_rows is None or solution.y_eq is None:
+            return None
+        pull = solution.y_rows[: self.chain.nv].copy()
+        pull[box.outside] += solution.y_eq
+        scaled: Array = pull / _row_norms(B[: self.chain.nv])
+        return scaled
 
     def read_condensed(self, x: Array, terms: StepTerms, base: Array, B: Array) -> Answer:
         """The step that a solution of :meth:`condensed` stands for."""
@@ -244,7 +263,7 @@ class StepProgram:
         late, grasp, path = (shares * self._share_scale).tolist()
         return Answer(velocity, terms.rate_cap - late, 1.0 - grasp, 1.0 - path, off_path)
 
-    # -- full and slack ------------------------------------------------------------------------------------------
+    # -- full ----------------------------------------------------------------------------------------------------
 
     def full(
         self,
@@ -252,29 +271,21 @@ class StepProgram:
         box: VelocityBox,
         further: Rows | None = None,
         *,
-        slack: bool = False,
         units: Array | None = None,
     ) -> QpProblem:
-        """The full form: x = [v (nv), y (d), (cap − σ), (1 − ρ_g), (1 − ρ_p), t, r], scaled as in the condensed form.
+        """The full form: x = [v (nv), y (d), (cap − σ), (1 − ρ_g), (1 − ρ_p), r], scaled as in the condensed form.
 
-        With ``slack`` the chain may part by t (6N), the twists by which the arms leave the common motion, and further
-        rows may give way. r is how far the joints outside their limits stay from the velocities that lead them back.
-        (Squaring these equalities instead would square their conditioning, and active-set solvers then fail.)
+        r is how far the joints outside their limits stay from the velocities that lead them back. (Squaring these
+        equalities instead would square their conditioning, and active-set solvers then fail.)
         """
         chain, further, S = self.chain, _or_none(further, self.chain.nv), self._twist_basis(terms)
         outside = np.flatnonzero(box.outside)
-        giving = np.flatnonzero(further.soft) if slack else np.arange(0)
-        sizes = chain.nv, S.shape[1], 3, 6 * chain.n_arms * slack, outside.size, giving.size
+        sizes = chain.nv, S.shape[1], 3, outside.size
         ends = np.cumsum(sizes).tolist()
-        v, _, shares, parting, led_back, rows = (slice(end - n, end) for end, n in zip(ends, sizes, strict=True))
+        v, _, shares, led_back = (slice(end - n, end) for end, n in zip(ends, sizes, strict=True))
         n = ends[-1]
 
         A, b = self._chain_equalities(terms, S, n)
-        if slack:
-            part = 1.0 / np.sqrt(self.weights.chain)
-            A[: 6 * chain.n_arms, parting] = np.diag(
-                np.tile([part] * 3 + [part / self.weights.length] * 3, chain.n_arms)
-            )
         back = np.zeros((outside.size, n))
         back[np.arange(outside.size), outside] = 1.0
         back[:, led_back] = -self.recovery_scale * np.eye(outside.size)
@@ -282,17 +293,14 @@ class StepProgram:
         H, g = np.zeros((n, n)), np.zeros(n)
         H[range(chain.nv, n), range(chain.nv, n)] = 1.0
         if chain.redundancy:
-            # Active-set solvers manage ten orders of magnitude between costs, not fourteen.
-            cost = max(self.weights.posture, 1e-10 * self.weights.chain) if slack else self.weights.posture
             G, target = self._posture_rows(terms, n, shares.start)
             if units is not None:
                 G, target = G / units[:, None], target / units
-            H += cost * G.T @ G
-            g -= cost * G.T @ target
+            H += self.weights.posture * G.T @ G
+            g -= self.weights.posture * G.T @ target
 
         C = np.zeros((len(further), n))
         C[:, v] = further.G
-        C[giving, rows] = -self.relax_scale * np.diag(further.soft[giving])
         lb, ub = np.full(n, -np.inf), np.full(n, np.inf)
         lb[v], ub[v] = box.lower, box.upper
         lb[shares], ub[shares] = 0.0, np.array([terms.rate_cap, 1.0, 1.0]) / self._share_scale

@@ -15,17 +15,11 @@ from coopqp.control.step.formulations import Answer, Pieces, StepProgram, StepTe
 from coopqp.control.step.velocity_bounds import VelocityBox, rate_interval
 from coopqp.errors import InvalidInputError, said
 from coopqp.model.chain import Chain
-from coopqp.native.constants import AT_LIMIT, LIMIT_TOLERANCE, RESIDUE_TOLERANCE
+from coopqp.native.constants import AT_LIMIT, BISECTIONS, LIMIT_TOLERANCE, RESIDUE_TOLERANCE
 from coopqp.solvers.base import QpSolver
 from coopqp.solvers.choice import default_solver, make_solver
 from coopqp.solvers.problem import QpProblem, QpSolution, SolverStatus
 from coopqp.spatial import Array
-
-#: Cost of joint velocities in the second attempt at a chain that may part [1/(rad/s)²].
-_CALM = 1e-4
-
-#: Bisections of a share.
-_BISECTIONS = 40
 
 
 def _ask(solver: QpSolver, problem: QpProblem) -> QpSolution:
@@ -44,20 +38,18 @@ def _ask(solver: QpSolver, problem: QpProblem) -> QpSolution:
 
 
 def _make_solvers(options: QPOptions) -> tuple[QpSolver, QpSolver]:
-    """For the QP of the chosen form, and for the slack form; the slack and the full form are semidefinite."""
+    """For the QP of the chosen form, and for that whose chain may part; the full form is semidefinite."""
     choice, settings = options.solver, options.solver_settings
     if choice == "auto" and settings is None:
         choice = default_solver(strictly_convex=options.form == "condensed")
     solver = make_solver(choice, settings)
-    if not solver.strictly_convex_only:
-        return solver, make_solver(choice, settings)
-    if options.form != "condensed":
+    if solver.strictly_convex_only and options.form != "condensed":
         raise InvalidInputError(
             f"form '{options.form}' with solver '{solver.name}', which takes strictly convex QPs only",
             "QPOptions",
             "Take form 'condensed', or a solver such as 'daqp'.",
         )
-    return solver, make_solver(default_solver(strictly_convex=False))
+    return solver, make_solver(choice, settings)
 
 
 #: A row of the box (a joint) or, from nv on, a further row; and the side on which it binds: 1 above, −1 below.
@@ -116,21 +108,18 @@ class StepSolver:
         return StepAnswer(**values, active=self._active(solved.velocity, further), report=report)
 
     def solve_filled(
-        self, base: Array, columns: Array, unit: Array, cap: float, h: float, further: Rows
-    ) -> tuple[Array | None, SolverReport]:
-        """x of the condensed QP that the core has filled in, in the core's units; None without a usable answer.
-
-        The chain is linearised where the core has filled it in. Other units of self-motions are put into the columns.
-        """
-        program, box = self.program, self._box
-        problem = program.least_distance(base, columns, box, further, rate_cap=cap)
-        solution = _ask(self._solver, problem)
-        units = program.units_condensed(solution, columns, box, h) if solution.usable else None
-        if units is not None:
-            columns[:, -len(units) :] *= units
-            again = _ask(self._solver, program.least_distance(base, columns, box, further, rate_cap=cap))
-            solution = again
-        return (solution.x[: unit.size] if solution.usable else None), self._report(solution, self._solver)
+        self, base: Array, columns: Array, further: Rows, *, cap: float, relax: bool, parts: bool
+    ) -> tuple[QpSolution, SolverReport]:
+        """The solution of the condensed QP that the core has filled in, in the core's units."""
+        solver = self._slack_solver if parts else self._solver
+        if parts:
+            solver.reset()
+        solution = _ask(
+            solver, self.program.least_distance(base, columns, self._box, further, rate_cap=cap, relax=relax)
+        )
+        if parts and solver is self._solver:
+            solver.reset()
+        return solution, self._report(solution, solver)
 
     def _nominal(self, terms: StepTerms, pieces: Pieces, further: Rows) -> StepAnswer | None:
         """Full corrections at the cap, if that is admissible."""
@@ -168,21 +157,16 @@ class StepSolver:
                 answer, solution = self._full(terms, h, further)
             if answer is not None and self._believable(answer.velocity):
                 return answer, self._report(solution, self._solver)
-        problem = program.full(terms, box, further, slack=True)
         shared = self._slack_solver is self._solver
         self._slack_solver.reset()  # an old solution is no warm start, and a copy of the controller does not have it
-        relaxed = _ask(self._slack_solver, problem)
-        if not relaxed.usable:
-            # Without a cost of their own the joint velocities defeat some solvers near a singularity.
-            joints = range(self._chain.nv)
-            problem.H[joints, joints] += _CALM
-            relaxed = _ask(self._slack_solver, problem)
+        problem, base, B = program.condensed(terms, pieces, box, further, relax=True, parts=True)
+        parted = _ask(self._slack_solver, problem)
         if shared:
             self._solver.reset()
-        report = self._report(relaxed, self._slack_solver)
-        if not relaxed.usable:
+        report = self._report(parted, self._slack_solver)
+        if not parted.usable:
             return None, report
-        answer = program.read_full(relaxed.x, terms)
+        answer = program.read_condensed(parted.x, terms, base, B)
         if not self._believable(answer.velocity):
             return None, report
         return replace(answer, chain=program.parting(answer, terms)), report
@@ -239,8 +223,7 @@ class StepSolver:
         taken, else the one that breaks the soft rows by the least.
         """
         box, chain, metric = self._box, self._chain, self.program.metric
-        why = f"{report.status}: {report.message}" if report.message else report.status
-        reason = f"the QP has no usable answer ({why}); braking"
+        reason = unsolved(report.message)
         twists = terms.offsets, terms.grasp_corrections
         offsets, grasp = (chain.joint_velocities(w @ terms.to_world.T) for w in twists)
         object_twist = chain.twists(v_prev).mean(axis=0)
@@ -290,6 +273,11 @@ class StepSolver:
         )
 
 
+def unsolved(message: str) -> str:
+    """Why the arms brake, with what the solver says."""
+    return f"the QP has no usable answer{f' ({message})' if message else ''}; braking"
+
+
 def _keeps(further: Rows, v: Array, tolerance: float) -> bool:
     Gv = further.G @ v
     return bool(((Gv <= further.upper + tolerance) & (Gv >= further.lower - tolerance)).all())
@@ -318,7 +306,7 @@ def _least_broken(further: Rows, base: Array, along: Array, low: float, high: fl
     if not a.size or (a - low * b).max() <= LIMIT_TOLERANCE:
         return low, 0.0
     high = max(low, min(high, 1.0))
-    for _ in range(_BISECTIONS):
+    for _ in range(BISECTIONS):
         middle = 0.5 * (low + high)
         k = int((a - middle * b).argmax())
         if b[k] > 0.0 and a[k] - middle * b[k] > 0.0:
