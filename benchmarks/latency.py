@@ -11,7 +11,8 @@ Left out are the first steps of a turn, which find the caches cold, and the firs
 ``slowed``    a zigzag at 0.6 m/s with joints limited to 1 rad/s: slowed at most steps;
 ``corner``    the same with joints limited to 10 rad/s² too: the preview brakes ahead of every corner;
 ``qp``        a QP at every step of the zigzag;
-``pole``      three arms past a wrist singularity, missed by 2 mrad, 5 rad/s²: the preview needs many small cells.
+``pole``      three arms past a wrist singularity, missed by 2 mrad, 5 rad/s²: the preview needs many small cells;
+``few: …``    the ready scenarios whose arms have fewer than six joints.
 
 ``ratio`` is p99.9 / p50. Records of the second kind (``case`` "lap: …") are of one lap from reset to the path's end,
 each step the median of the same step in several laps: their own time, without the machine's part.
@@ -38,11 +39,12 @@ from peer_cases import NOISE, READ, options_of
 
 from coopqp import ControlStep, QPController, Status
 from coopqp.native import available_kernels
-from coopqp.scenarios import Scenario, at_singularity
+from coopqp.scenarios import Scenario, at_singularity, conveyor, five_joint_pins, positioner, scara_pair
 from coopqp.spatial import Array
 
 ARMS = 3
-CASES = ("nominal", "measured", "watched", "slowed", "corner", "qp", "pole")
+FEW = {f"few: {make.__name__}": make for make in (positioner, conveyor, scara_pair, five_joint_pins)}
+CASES = ("nominal", "measured", "watched", "slowed", "corner", "qp", "pole", *FEW)
 KEYS = (
     "case", "kernel", "arms", "p50_us", "p99_us", "p999_us", "max_us", "ratio", "steps", "first_us",
     "gc_pause_ms", "collections", "full", "unreachable",
@@ -76,6 +78,8 @@ def scenario_of(case: str) -> Scenario:
     """The task of a case."""
     if case in ("nominal", "measured", "watched"):
         return common.ring(arms=ARMS)
+    if case in FEW:
+        return FEW[case]()
     if case == "pole":
         return at_singularity("wrist", 0, acceleration=5.0, miss=2e-3)
     zigzag = common.ring(arms=ARMS, path="zigzag")
@@ -186,7 +190,8 @@ def tails(plan: Plan, cases: Sequence[str], progress: common.Progress) -> tuple[
     samples = common.interleaved(turns, rounds=number, progress=progress, frozen=True)
     records = []
     for name, (case, kernel) in names.items():
-        row = {"case": case, "kernel": kernel, "arms": ARMS, **tail(samples[name]), "steps": samples[name].size}
+        arms = len(scenario_of(case.removeprefix("null spin: ")).cell)
+        row = {"case": case, "kernel": kernel, "arms": arms, **tail(samples[name]), "steps": samples[name].size}
         records.append({**row, "ratio": round(row["p999_us"] / row["p50_us"], 2)})
     return records, samples
 
@@ -198,7 +203,8 @@ def laps(plan: Plan, cases: Sequence[str], progress: common.Progress) -> list[Re
         for kernel in available_kernels():
             loop = Loop(case, kernel)
             first, *rest = np.median([loop.lap() for _ in range(plan.laps)], axis=0)
-            row = {"case": f"lap: {case}", "kernel": kernel, "arms": ARMS, **tail(rest), "steps": len(rest)}
+            row = {"case": f"lap: {case}", "kernel": kernel, "arms": len(loop.controller.cell), **tail(rest)}
+            row["steps"] = len(rest)
             records.append(row | {"ratio": round(row["p999_us"] / row["p50_us"], 2), "first_us": round(first, 1)})
             progress.advance(f"lap: {case}")
     return records
