@@ -79,7 +79,7 @@ class CompiledLoop:
         self.cell, self.grasp, self.dt, self.options = cell, grasp, dt, options
         self.constraints = constraints
         chain, box = Chain(cell, grasp), VelocityBox(cell)
-        shares = self._shares = options.common_error.shares(cell)
+        shares = options.common_error.shares(cell)
         self.solver = StepSolver(chain, box, options)
         self._chain, self._box = chain, box
         unit = self.solver.program.units
@@ -89,7 +89,6 @@ class CompiledLoop:
         self._motion: GraspMotion | None = None
         self._shifted = False  # whether the core has shifts of the path
         self._minding: Any = None
-        self._fixed = [pin.SE3.Identity()] * len(cell)
         numbers = memory.options
         numbers.own_solver = self.solver.name == "ldp"
         self._report: SolverReport | None = None
@@ -192,8 +191,6 @@ class CompiledLoop:
             at["latched"][:] = 0.0
             if had:
                 at["object"][:], at["shares"][:], at["holding"][:] = at["places"], self._shares_of(None), 1.0
-                self._chain.place(self._fixed)
-                self._chain.apart = ()
             self._core.set_grasps(None)
             if had and self._shift is not None:
                 self._core.shift_grasp(self._shift)
