@@ -606,7 +606,7 @@ def test_a_deep_copy_has_constraints_of_its_own(kernel: str) -> None:
 class Failing(QpSolver):
     """Works until ``broken``; then it has no answer."""
 
-    name, strictly_convex_only = "failing", False
+    name = "failing"
 
     def __init__(self) -> None:
         self.solver, self.broken = make_solver("daqp"), False

@@ -7,6 +7,7 @@ controllers as the other tests apply to sound ones.
 from __future__ import annotations
 
 import copy
+import math
 from collections import Counter
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field, replace
@@ -149,18 +150,12 @@ STOPPED = (Status.HOLDING, Status.FAULT)
 
 
 class FaultySolver(QpSolver):
-    """A solver that works until ``broken``, then returns ``fault(solver, problem)``.
+    """Works until ``broken``, then returns ``fault(solver, problem)`` for QPs of up to ``most`` unknowns."""
 
-    With ``strictly_convex_only`` it is asked for the condensed form alone: another one then lets the chain part.
-    """
-
-    def __init__(
-        self, solver: str, fault: Callable[[QpSolver, QpProblem], Any], *, strictly_convex_only: bool = False
-    ) -> None:
+    def __init__(self, solver: str, fault: Callable[[QpSolver, QpProblem], Any], *, most: float = math.inf) -> None:
         self.solver, self.fault = make_solver(solver), fault
         self.name, self.settings = self.solver.name, self.solver.settings
-        self.strictly_convex_only = strictly_convex_only
-        self.broken, self.hits = False, 0
+        self.broken, self.hits, self._most = False, 0, most
 
     def _forget(self) -> None:
         self.solver.reset()
@@ -169,7 +164,7 @@ class FaultySolver(QpSolver):
         raise NotImplementedError("solve() asks the other solver")
 
     def solve(self, problem: QpProblem) -> Any:
-        if not self.broken:
+        if not self.broken or problem.g.size > self._most:
             return self.solver.solve(problem)
         self.hits += 1
         return self.fault(self.solver, problem)

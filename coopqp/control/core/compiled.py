@@ -478,7 +478,7 @@ class CompiledLoop:
         report, braked = self._report if p.solved else None, p.braked and not p.reason
         step: ControlStep = self._core.commit()
         if report is not None and braked:
-            reason = unsolved(report.message)
+            reason = unsolved(report)
         if report is not None or reason:
             if reason and step.status is Status.OFF_PATH:  # how far it is off comes first
                 reason = f"{step.reason.partition('; ')[0]}; {reason}"

@@ -165,7 +165,7 @@ class RecordReader:
 _BOTH = (_REASONS["CHAIN_APART"], _REASONS["CHAIN_PARTED"])
 #: The sentence of each reason, by the joint or arm i and two numbers a and b. BAD_DT and PATH_JUMPS have their own.
 _SENTENCES = {
-    "UNSOLVED": unsolved(""),
+    "UNSOLVED": unsolved(None),
     "NO_REASON": "",
     "TOUCHING": "the arms hold",
     "OFF_CIRCLE": "q_measured[{i}] and [{next}] are no cosine and sine (norm {a:.3g})",

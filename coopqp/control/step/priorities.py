@@ -223,7 +223,7 @@ class StepSolver:
         taken, else the one that breaks the soft rows by the least.
         """
         box, chain, metric = self._box, self._chain, self.program.metric
-        reason = unsolved(report.message)
+        reason = unsolved(report)
         twists = terms.offsets, terms.grasp_corrections
         offsets, grasp = (chain.joint_velocities(w @ terms.to_world.T) for w in twists)
         object_twist = chain.twists(v_prev).mean(axis=0)
@@ -273,9 +273,11 @@ class StepSolver:
         )
 
 
-def unsolved(message: str) -> str:
-    """Why the arms brake, with what the solver says."""
-    return f"the QP has no usable answer{f' ({message})' if message else ''}; braking"
+def unsolved(report: SolverReport | None) -> str:
+    """Why the arms brake, with what a solver of the user's says."""
+    if report is None or report.name == "ldp":
+        return "the QP has no usable answer; braking"
+    return f"the QP has no usable answer ({': '.join(filter(None, (report.status, report.message)))}); braking"
 
 
 def _keeps(further: Rows, v: Array, tolerance: float) -> bool:

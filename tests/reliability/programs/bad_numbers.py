@@ -55,26 +55,22 @@ class Tally:
 
 
 class Poison(QpSolver):
-    """A solver whose problems have one bad entry: in every form of the QP that a step may solve."""
+    """A solver whose problems have one bad entry: every QP that a step may solve."""
 
     name, settings = "poison", SolverSettings()
 
     def __init__(self, solver: str) -> None:
-        chosen = make_solver(solver)
-        others = "daqp" if chosen.strictly_convex_only else solver
-        self._for_convex, self._for_others = chosen, make_solver(others)
+        self._solver = make_solver(solver)
         self.entry: tuple[str, float, float] | None = None
 
     def _forget(self) -> None:
-        self._for_convex.reset()
-        self._for_others.reset()
+        self._solver.reset()
 
     def _solve(self, problem: QpProblem, work: Any) -> Any:
         raise NotImplementedError("solve() asks the other solver")
 
     def solve(self, problem: QpProblem) -> QpSolution:
-        solver = self._for_convex if np.diag(problem.H).all() else self._for_others
-        return solver.solve(self._poison(problem))
+        return self._solver.solve(self._poison(problem))
 
     def _poison(self, problem: QpProblem) -> QpProblem:
         if self.entry is None:
