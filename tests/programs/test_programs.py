@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 import pytest
-from marks import slow_but_first, slow_unless
+from marks import slow_but_first
 from runs import limited_once
 
 from coopqp import ControlStep, Grasp, HoldPath, InvalidInputError, LinePath, QPController, Status, check_path
@@ -23,8 +23,6 @@ from coopqp.simulation import check_run, simulate
 KERNELS = available_kernels()
 both = pytest.mark.parametrize("kernel", slow_but_first(KERNELS))
 GATE = 1.0
-#: Scenarios with members of one joint, which the core leaves to the definition.
-FEW_JOINTS = ("positioner", "conveyor")
 
 
 def lift() -> Any:
@@ -226,11 +224,11 @@ def test_forces_are_taken_where_arms_let_go_before_they_move() -> None:
     assert isinstance(program.grasp_at(task.grasp, 1.0), Grasp)
 
 
-@pytest.mark.parametrize("name", slow_unless(lambda name: name not in FEW_JOINTS, PROGRAMS))
+@pytest.mark.parametrize("name", PROGRAMS)
 def test_every_scenario_that_is_a_program_runs_to_its_end(name: str) -> None:
     task = PROGRAMS[name]()
     controller = QPController(task.cell, task.grasp, task.path, dt=0.01)
-    assert controller.kernel == ("plain" if name in FEW_JOINTS or "compiled" not in KERNELS else "compiled")
+    assert controller.kernel == KERNELS[0]
     recording = simulate(controller, q_start=task.q_start)
     assert recording.metadata["finished"]
     assert check_run(recording, task.cell).ok
@@ -238,8 +236,8 @@ def test_every_scenario_that_is_a_program_runs_to_its_end(name: str) -> None:
 
 
 @pytest.mark.skipif("compiled" not in KERNELS, reason="compares the kernels")
-@pytest.mark.parametrize("name", [name for name in PROGRAMS if name not in FEW_JOINTS])
-def test_kernels_agree_on_every_program_that_the_core_takes(name: str) -> None:
+@pytest.mark.parametrize("name", PROGRAMS)
+def test_kernels_agree_on_every_program(name: str) -> None:
     task = PROGRAMS[name]()
     both = [QPController(task.cell, task.grasp, task.path, dt=0.01, options={"kernel": k}) for k in KERNELS]
     for controller in both:
