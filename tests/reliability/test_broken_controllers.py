@@ -221,7 +221,7 @@ def fails_badly(fault: str = "answers NaN") -> bool:
     task = limited(fast_lift(), acceleration=5.0)
     for for_ever in (False, True):
         try:
-            f = solver_fails(cooperative, task, FAULTS[fault], at=120, for_ever=for_ever)
+            f = solver_fails(_PLAIN, task, FAULTS[fault], at=120, for_ever=for_ever)
         except RuntimeError:  # raised by the test double: no step may raise
             return True
         if not f.held or f.stopping > 1.1 or f.chain_mm > 0.1 or f.broken or f.recovery > 1:

@@ -29,7 +29,7 @@ WILD = {"1e300": 1e300, "-1e300": -1e300, "1e25": 1e25, "1e15": 1e15, "1e-310": 
 #: Entries that mean "no bound".
 ABSENT = {("u", "+inf"), ("ub", "+inf"), ("l", "-inf"), ("lb", "-inf")}
 #: Arrays that replace arrays without rows in a form.
-ELSEWHERE = {"A": "C", "b": "u", "C": "A", "l": "lb", "u": "ub"}
+ELSEWHERE = {"A": "C", "b": "g", "C": "A", "l": "lb", "u": "ub"}
 #: Arrays without entries.
 EMPTY = {"condensed": ("A", "b"), "full": ("C", "l", "u")}
 
