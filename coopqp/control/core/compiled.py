@@ -555,6 +555,8 @@ class CompiledLoop:
         if not solution.usable:
             return False
         at["x"][:width] = solution.x[:width]
+        if width > unknowns:
+            return True
         pull = self.solver.program.pull(solution, columns, box) if self._chain.redundancy else None
         at["pull"][:] = 0.0 if pull is None else pull
         return True

@@ -111,15 +111,21 @@ class StepSolver:
         self, base: Array, columns: Array, further: Rows, *, cap: float, relax: bool, parts: bool
     ) -> tuple[QpSolution, SolverReport]:
         """The solution of the condensed QP that the core has filled in, in the core's units."""
+        problem = self.program.least_distance(base, columns, self._box, further, rate_cap=cap, relax=relax)
         solver = self._slack_solver if parts else self._solver
-        if parts:
-            solver.reset()
-        solution = _ask(
-            solver, self.program.least_distance(base, columns, self._box, further, rate_cap=cap, relax=relax)
-        )
-        if parts and solver is self._solver:
-            solver.reset()
+        solution = self._ask_parted(problem, columns) if parts else _ask(solver, problem)
         return solution, self._report(solution, solver)
+
+    def _ask_parted(self, problem: QpProblem, columns: Array) -> QpSolution:
+        """The solution of a QP whose chain may part, with the columns of its unknowns (m, n)."""
+        solver, nv, n = self._slack_solver, self._chain.nv, columns.shape[1]
+        solver.reset()  # an old solution is no warm start, and a copy of the controller does not have it
+        if not solver.strictly_convex_only:
+            problem = self.program.with_velocities(problem, problem.C[:nv, n - 6 * self._chain.n_arms : n])
+        solution = _ask(solver, problem)
+        if solver is self._solver:
+            solver.reset()
+        return solution
 
     def _nominal(self, terms: StepTerms, pieces: Pieces, further: Rows) -> StepAnswer | None:
         """Full corrections at the cap, if that is admissible."""
@@ -157,12 +163,8 @@ class StepSolver:
                 answer, solution = self._full(terms, h, further)
             if answer is not None and self._believable(answer.velocity):
                 return answer, self._report(solution, self._solver)
-        shared = self._slack_solver is self._solver
-        self._slack_solver.reset()  # an old solution is no warm start, and a copy of the controller does not have it
         problem, base, B = program.condensed(terms, pieces, box, further, relax=True, parts=True)
-        parted = _ask(self._slack_solver, problem)
-        if shared:
-            self._solver.reset()
+        parted = self._ask_parted(problem, B)
         report = self._report(parted, self._slack_solver)
         if not parted.usable:
             return None, report
