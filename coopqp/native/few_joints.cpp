@@ -29,21 +29,25 @@ static Matrix6 range_of(const Core *c, int k) {
     return U;
 }
 
+/* The same, as it is kept. */
+static Square range_at(const Core *c, int k) { return {c->ranges + 36 * k, 6, 6}; }
+
 /* What arm k cannot follow of a twist. */
-static Vector6 beyond(const Matrix6 &U, const Vector6 &twist) {
+static Vector6 beyond(const Core *c, int k, const Vector6 &twist) {
+    const Square U = range_at(c, k);
     const Vector6 along = U.transpose().lazyProduct(twist);
     return twist - U.lazyProduct(along);
 }
 
 /* Move twists of all arms by one common twist, then leave of each what its arm can follow. */
-static void bring_closest(const Core *c, const Matrix6 *ranges, const Matrix6 &inverse, Twists &twists) {
+static void bring_closest(const Core *c, const Matrix6 &inverse, Twists &twists) {
     Vector6 lost = Vector6::Zero();
     for (int k = 0; k < c->arms; k++)
-        if (has_few(c, k)) lost += beyond(ranges[k], twists.col(k));
+        if (has_few(c, k)) lost += beyond(c, k, twists.col(k));
     const Vector6 common = inverse.lazyProduct(lost);
     twists.colwise() -= common;
     for (int k = 0; k < c->arms; k++)
-        if (has_few(c, k)) twists.col(k) -= beyond(ranges[k], twists.col(k));
+        if (has_few(c, k)) twists.col(k) -= beyond(c, k, twists.col(k));
 }
 
 /* Twists of the object that all arms can follow, in the reference frame, orthonormal in the units of the off-path twist; others
@@ -78,11 +82,12 @@ static void keep_whole(Core *c) {
 
 /* Leave of the wanted motion what the arms can follow as they are linearised now, and of the defects that they make up for. */
 static void follow_part(Core *c) {
-    Matrix6 *ranges = reinterpret_cast<Matrix6 *>(c->ranges), F = Matrix6::Zero(), V, inverse = Matrix6::Zero();
+    Matrix6 F = Matrix6::Zero(), V, inverse = Matrix6::Zero();
     for (int k = 0; k < c->arms; k++) {
         if (!has_few(c, k)) continue;
-        ranges[k] = range_of(c, k);
-        F += Matrix6::Identity() - ranges[k].lazyProduct(ranges[k].transpose());
+        const Matrix6 U = range_of(c, k);
+        range_at(c, k) = U;
+        F += Matrix6::Identity() - U.lazyProduct(U.transpose());
     }
     by_rotations(F, V);
     const double least = CLOSING * F.diagonal().maxCoeff();
@@ -91,10 +96,10 @@ static void follow_part(Core *c) {
     admit(c, F, V);
     c->along = admissible_part(c, c->whole_along), c->path = admissible_part(c, c->whole_path);
     c->own_along = c->whole_own, c->grasp = c->whole_grasp, c->offsets = c->whole_offsets;
-    if (grasps_move(c)) bring_closest(c, ranges, inverse, c->own_along);
-    bring_closest(c, ranges, inverse, c->grasp);
-    bring_closest(c, ranges, inverse, c->offsets);
-    bring_closest(c, ranges, inverse, c->foresees);
+    if (grasps_move(c)) bring_closest(c, inverse, c->own_along);
+    bring_closest(c, inverse, c->grasp);
+    bring_closest(c, inverse, c->offsets);
+    bring_closest(c, inverse, c->foresees);
     c->proposal->closes = 0.0;
 }
 
