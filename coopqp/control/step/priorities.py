@@ -120,9 +120,11 @@ class StepSolver:
         """The solution of a QP whose chain may part, with the columns of its unknowns (m, n)."""
         solver, nv, n = self._slack_solver, self._chain.nv, columns.shape[1]
         solver.reset()  # an old solution is no warm start, and a copy of the controller does not have it
-        if not solver.strictly_convex_only:
-            problem = self.program.with_velocities(problem, problem.C[:nv, n - 6 * self._chain.n_arms : n])
         solution = _ask(solver, problem)
+        if not solution.usable and not solver.strictly_convex_only:
+            solver.reset()
+            wider = self.program.with_velocities(problem, problem.C[:nv, n - 6 * self._chain.n_arms : n])
+            solution = _ask(solver, wider)
         if solver is self._solver:
             solver.reset()
         return solution
