@@ -140,6 +140,8 @@ static void brake_now(Core *c) {
         work.setZero();
         c->command = c->velocity * least_broken(c, true, work, c->velocity, slowdown(c, p->dt), 1.0, &by);
     }
-    for (int j = 0; j < nv; j++)
-        c->command[j] = clamp(clamp(c->command[j], c->lower[j], c->upper[j]), -fabs(c->speed[j]), fabs(c->speed[j]));
+    for (int j = 0; j < nv; j++) {
+        const double most = fabs(c->speed[j]), v = isfinite(c->command[j]) ? c->command[j] : 0.0;
+        c->command[j] = clamp(clamp(v, c->lower[j], c->upper[j]), -most, most);
+    }
 }

@@ -246,9 +246,9 @@ static void floored_inverse(const Columns &J, const Units &W, TallRows &P) {
 
 using OfJoints = Eigen::Map<Eigen::VectorXd>;
 
-/* Of one arm with n joints, fewer than six of which follow a part of the twists: velocities v0, v1 for the world twists w0, w1, near the null-space wishes u0, u1 of a
- * redundant arm: v = u + A⁺(w − J u), A⁺ the right inverse of least Σ (v/scale)². Returns the smallest pivot of A, or, of a
- * redundant arm, the root of the smallest pivot of A Aᵀ; 0 if it is singular. */
+/* Of one arm with n joints: velocities v0, v1 for the world twists w0, w1, near the null-space wishes u0, u1 of a redundant
+ * arm: v = u + A⁺(w − J u), A⁺ the right inverse of least Σ (v/scale)². Fewer than six joints make the closest twists that they
+ * can. Returns the smallest pivot of A, or, of a redundant arm, the root of the smallest pivot of A Aᵀ; 0 if it is singular. */
 static double arm_velocities(const double *jacobian, const double *scale, int n, const Vector6 &w0, const Vector6 &w1,
                              const double *u0, const double *u1, double *v0, double *v1) {
     const OfArm J(jacobian, 6, n);

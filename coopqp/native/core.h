@@ -109,7 +109,6 @@ struct Arithmetic {
     Outcome (*propose)(Core *c);
     Outcome (*answer)(Core *c);
     Status (*commit)(Core *c);
-    int (*read)(Core *c, double cap);
     int (*quiet)(const Core *c);
     Outcome (*settle_step)(Core *c);
     int (*move_grasp)(Core *c, const double *shift);

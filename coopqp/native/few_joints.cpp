@@ -53,25 +53,25 @@ static void bring_closest(const Core *c, const Matrix6 &inverse, Twists &twists)
 /* Twists of the object that all arms can follow, in the reference frame, orthonormal in the units of the off-path twist; others
  * are zero. */
 static void admit(Core *c, const Matrix6 &F, const Matrix6 &V) {
-    const auto unit = Given(c->unit, 6).asDiagonal();
-    Matrix6 Q = Matrix6::Zero();
     int found = 0;
+    c->admitted.setZero();
     for (int i = 0; i < 6; i++) {
         if (!(F(i, i) < ADMITTED)) continue;
-        Vector6 y = Given(c->unit, 6).cwiseInverse().cwiseProduct(V.row(i).transpose());
+        Vector6 y = V.row(i).transpose().cwiseQuotient(Given(c->unit, 6));
         for (int twice = 0; twice < 2; twice++)
-            for (int m = 0; m < found; m++) y -= Q.col(m).dot(y) * Q.col(m);
-        Q.col(found++) = y.normalized();
+            for (int m = 0; m < found; m++) y -= c->admitted.col(m).dot(y) * c->admitted.col(m);
+        c->admitted.col(found++) = y.normalized();
     }
-    c->admitted = unit * Q * Given(c->unit, 6).cwiseInverse().asDiagonal();
 }
+
+/* One of them. */
+static Vector6 admitted_twist(const Core *c, int i) { return c->admitted.col(i).cwiseProduct(Given(c->unit, 6)); }
 
 /* The part of a twist of the object that all arms can follow, closest in those units. */
 static Vector6 admissible_part(const Core *c, const Vector6 &twist) {
     const Given unit(c->unit, 6);
-    const Matrix6 Q = unit.cwiseInverse().asDiagonal() * c->admitted * unit.asDiagonal();
-    const Vector6 scaled = unit.cwiseInverse().cwiseProduct(twist), along = Q.transpose().lazyProduct(scaled);
-    return unit.cwiseProduct(Q.lazyProduct(along));
+    const Vector6 along = c->admitted.transpose().lazyProduct(Vector6(twist.cwiseQuotient(unit)));
+    return unit.cwiseProduct(Vector6(c->admitted.lazyProduct(along)));
 }
 
 /* Remember the wanted motion, of which the arms may follow only a part. */

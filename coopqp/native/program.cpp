@@ -27,7 +27,11 @@ static bool right_inverse(const Columns &J, const Units &W, TallRows &P, Whole &
     Eigen::Matrix<double, FIXED, 1, 0, TallRows::MaxColsAtCompileTime, 1> diagonal(rows), per(rows);
     for (int i = 0; i < rows; i++) {
         auto reflector = M.col(i).tail(n - i); /* of squared length 2 |d M_ii| */
-        const double length = fmax(reflector.norm(), DBL_MIN); /* a column that is 0 keeps its place */
+        const double length = reflector.norm();
+        if (!(length > 0.0)) { /* a row of J that depends on those before */
+            diagonal[i] = per[i] = 0.0;
+            continue;
+        }
         diagonal[i] = M(i, i) > 0.0 ? -length : length;
         M(i, i) -= diagonal[i];
         per[i] = -1.0 / (diagonal[i] * M(i, i));
@@ -108,7 +112,7 @@ static bool condense(Core *c, double cap, bool parts) {
     ArmSquare N;
     int z = TWIST_AND_SHARES;
     if (some_have_few(c))
-        for (int i = 0; i < 6; i++) T.col(i) = turned(R, c->admitted.col(i));
+        for (int i = 0; i < 6; i++) T.col(i) = turned(R, admitted_twist(c, i)) / c->unit[i];
     else
         T.block<3, 3>(0, 0) = T.block<3, 3>(3, 3) = R;
     T.col(6) = turned(R, c->along);
@@ -217,8 +221,10 @@ static int read_answer(Core *c, double cap) {
         }
     p->bindings = count;
     for (int j = 0; j < c->joints; j++) c->command[j] = clamp(c->command[j], c->lower[j], c->upper[j]);
-    for (int i = 0; i < 6; i++) c->off_path[i] = c->x[i] * c->unit[i];
-    if (some_have_few(c)) c->off_path = Vector6(c->admitted.lazyProduct(c->off_path));
+    c->off_path.setZero();
+    for (int i = 0; i < 6; i++)
+        if (some_have_few(c)) c->off_path += c->x[i] * admitted_twist(c, i);
+        else c->off_path[i] = c->x[i] * c->unit[i];
     p->new_rate = clamp(cap - c->x[6] * c->unit[6], 0.0, cap); /* a solver may miss its bounds a little */
     p->grasp_share = 1.0 - c->x[7] * c->unit[7];
     p->path_share = 1.0 - c->x[8] * c->unit[8];

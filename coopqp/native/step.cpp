@@ -303,16 +303,15 @@ static double missed(const Core *c, double h) {
 /* Largest speed [m/s] at which an arm leaves the common motion of an answer. */
 static double parting_speed(const Core *c) {
     const Proposal *p = c->proposal;
+    Twists made(c->scratch, 6, c->arms);
     double most = 0.0;
+    twists_of(c, c->command, made);
     for (int k = 0; k < c->arms; k++) {
         if (follows_way(c, k)) continue;
-        const ArmColumns J = columns_of_arm(c, k, c->jacobian);
-        Vector6 made = Vector6::Zero();
-        for (int j = 0; j < J.cols(); j++) made += c->command[joint_behind(c, k, j)] * J.col(j);
         const Vector6 along = grasps_move(c) ? Vector6(c->own_along.col(k)) : Vector6(c->along);
         const Vector6 common = c->off_path + p->new_rate * along + p->path_share * c->path +
                                p->grasp_share * c->grasp.col(k) + c->offsets.col(k);
-        most = fmax(most, (turned_back(c->pose->R, made) - common).head<3>().norm());
+        most = fmax(most, (turned_back(c->pose->R, made.col(k)) - common).head<3>().norm());
     }
     return most;
 }
@@ -431,7 +430,7 @@ static Outcome answer_along(Core *c) {
     p->rows = c->further_rows;
     c->guess = 2.0 * c->velocity - c->before;
     linearise_about(c, c->guess);
-    if (some_have_few(c)) keep_whole(c), follow_part(c);
+    if (some_have_few(c)) follow_part(c);
     Outcome outcome = settle(c, p->cap);
     const int again = long_step(c);
     if (first) c->first_guess = c->command;
@@ -454,6 +453,13 @@ static void wish_along(Core *c) {
     if (c->redundant) wish(c);
     else if (any_follows_way(c)) c->null_along.setZero(), c->null_offset.setZero();
     if (grasps_move(c)) wish_along_ways(c, c->loop->clock, c->proposal->span, c->proposal->dt);
+}
+
+/* The wanted motion over that share. */
+static void want(Core *c) {
+    wish_along(c);
+    corrections(c, c->proposal->dt);
+    if (c->few) keep_whole(c);
 }
 
 /* ν as it was looked at, and what it is now, in metres. */
@@ -505,8 +511,7 @@ static int look_at_pace(Core *c) {
         return 0;
     }
     p->paces++, p->last_span = span, p->last_saved = saved;
-    wish_along(c);
-    corrections(c, h);
+    want(c);
     return 1;
 }
 
@@ -534,10 +539,8 @@ static Outcome propose_capped(Core *c) {
         if (p->watch_cap > 0.0) refuse(c, PATH_FAILED, -1, clock);
         p->cap = 0.0, p->span = span;
     }
-    wish_along(c);
+    want(c);
     p->rows = c->given_rows;
-    if (c->few) keep_whole(c);
-    corrections(c, h);
     return answer(c);
 }
 

@@ -591,7 +591,6 @@ void bind_step(nb::module_ &m) {
         .def("observe", observe)
         .def("propose", propose)
         .def("settle", settle)
-        .def("read", [](BoundCore &self, double cap) { return self.run<&Arithmetic::read>(cap) != 0; })
         .def("commit", commit)
         .def("advance", advance)
         .def("start", start)

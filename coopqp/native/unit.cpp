@@ -42,7 +42,7 @@ namespace BUILD {
 #include "allow.cpp"
 
 const Arithmetic arithmetic = {start,       start_path, observe, propose,             answer,         commit,
-                               read_answer, quiet_step, settle_step, move_grasp, mind, minded, carry_and_linearise, least_distance,
+                               quiet_step, settle_step, move_grasp, mind, minded, carry_and_linearise, least_distance,
                                go_over,     relax,      allow};
 
 }  // namespace BUILD

@@ -36,7 +36,7 @@ from coopqp import (
     WaypointPath,
     check_path,
 )
-from coopqp.collision import Body, Box, Clearance, CollisionScene
+from coopqp.collision import Body, Box, Clearance, CollisionScene, Sphere
 from coopqp.control import RankWeights
 from coopqp.model import CellState
 from coopqp.native import available_kernels
@@ -1103,15 +1103,21 @@ def test_both_agree_on_arms_with_few_joints(name: str) -> None:
 @pytest.mark.core
 @pytest.mark.parametrize("acceleration", [8.0, np.inf])
 @pytest.mark.parametrize("name", ["five_joint_pair", "scara_pair"])
-def test_both_agree_where_few_joints_cannot_follow_the_path(name: str, acceleration: float) -> None:
-    """Nothing is known ahead of a path that leaves what the arms can do."""
+@pytest.mark.parametrize("beside", [False, True])
+def test_both_agree_where_few_joints_cannot_follow_the_path(beside: bool, name: str, acceleration: float) -> None:
+    """Nothing is known ahead of a path that leaves what the arms can do. Beside a body a step is answered twice."""
     task = limited_once(SCENARIOS[name], acceleration)
-    path = LinePath.displaced(
-        task.path.pose(0.0), translation=(0.03, 0.05, 0.06), rotation=(0.3, 0.0, 0.1), duration=2.0
-    )
-    run = pair(dataclasses.replace(task, path=path), dt=0.008)
-    run.same = DISTURBED
-    run.run(150)
+    start = task.path.pose(0.0)
+    path = LinePath.displaced(start, translation=(0.03, 0.05, 0.06), rotation=(0.3, 0.0, 0.1), duration=2.0)
+    ball = Body("ball", Sphere(0.03), pin.SE3(np.eye(3), path.pose(1.2).translation + np.array([0.03, 0.05, 0.05])))
+    scene = CollisionScene.of(task, margin=0.02, obstacles=[ball])
+    made = []
+    for kernel in ("compiled", "plain"):
+        constraints = [Clearance(scene)] if beside else []
+        options = QPOptions(kernel=kernel)
+        made.append(QPController(task.cell, task.grasp, path, dt=0.008, options=options, constraints=constraints))
+        made[-1].reset(task.q_start)
+    Pair(*made, same=DISTURBED).run(130)
 
 
 # -- at random, in short -----------------------------------------------------------------------------------------------

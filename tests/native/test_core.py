@@ -408,7 +408,7 @@ def test_a_core_is_built_once_and_before_it_is_used(paper: Scenario) -> None:
     for call in (
         lambda: raw.step(None, None), lambda: raw.observe(None, None), lambda: raw.propose(0, False), raw.commit,
         lambda: raw.advance(1, None), lambda: raw.start(np.zeros(18)),
-        lambda: raw.start_path(0.0, 1.0), lambda: raw.read(1.0), lambda: raw.bind(tell=None), raw.hold,
+        lambda: raw.start_path(0.0, 1.0), lambda: raw.bind(tell=None), raw.hold,
         lambda: raw.set_path(np.zeros(3), 1.0, False, False), raw.fields, lambda: raw.linearise(*[np.zeros(3)] * 4),
     ):  # fmt: skip
         with pytest.raises(TypeError):
@@ -506,7 +506,7 @@ def test_arguments_that_are_none_are_refused(paper: Scenario) -> None:
         with pytest.raises(ValueError, match="no room"):
             core.propose(rows, False)
     for call in (
-        lambda: core.propose("one", False), lambda: core.read("cap"), lambda: core.advance("one", None),
+        lambda: core.propose("one", False), lambda: core.advance("one", None),
         lambda: core.advance(1, 2, 3),
         lambda: core.start_path("now", 1.0), lambda: core.start_path(0.0), lambda: core.bind(1),
     ):  # fmt: skip
