@@ -259,7 +259,7 @@ class LowerBounds:
     def sharpen(self, asked: Iterable[int] = ()) -> None:
         """Ask for pairs until the distance of the pair that may use up its clearance first is known."""
         known = set(asked)
-        while len(known) < _MOST_ASKED:
+        while len(known) < min(_MOST_ASKED, self.clearances.size):
             k = self._kernel.soonest(self.clearances, self._most, LEAST_CLEARANCE)
             if k in known:
                 return

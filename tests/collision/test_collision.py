@@ -55,6 +55,7 @@ from coopqp.scenarios import (
     elbows,
     forearms,
     mixed_cell,
+    panda_bar,
     paper_lift,
     plate_and_post,
     plate_and_table,
@@ -245,6 +246,18 @@ def max_of_two(scenario: Scenario, of_joints: Any) -> float:
 
 
 @pytest.mark.core
+@pytest.mark.parametrize("kernel", KERNELS)
+def test_a_scene_without_pairs_slows_nothing_down(kernel: str) -> None:
+    """Arms without shapes, as many descriptions have them, and an object of two parts."""
+    task = panda_bar(geometry=False)
+    parts = [Body(name, Box((0.1, 0.1, 0.1))) for name in ("one", "other")]
+    scene = CollisionScene(cell=task.cell, grasp=task.grasp, carried=parts)
+    assert not scene.pairs
+    beside, alone = (built(task, kernel, constraints=given) for given in ([Clearance(scene)], []))
+    for _ in range(50):
+        np.testing.assert_array_equal(beside.step().velocity, alone.step().velocity)
+
+
 @pytest.mark.skipif(len(KERNELS) < 2, reason="there is no compiler here")
 @pytest.mark.parametrize("scenario", [plate_and_post(), forearms()], ids=["six", "seven"])
 def test_rows_in_memory_are_those_of_the_definition(scenario: Scenario) -> None:
