@@ -26,7 +26,8 @@ from runs import of_the_paper
 from coopqp import Arm, Recording, RobotCell, simulate
 from coopqp.scenarios import ROBOTS, Scenario, paper_lift, robot_path
 
-pytest_plugins = ["catalogue"]  # tests/reliability/catalogue.py, whose table ends every run
+#: tests/reliability/catalogue.py, whose table ends every run, and what compares runs with recorded ones.
+pytest_plugins = ["catalogue", "recorded_before"]
 
 settings.register_profile(
     "ci",

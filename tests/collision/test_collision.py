@@ -15,6 +15,7 @@ import numpy as np
 import pinocchio as pin
 import pytest
 from convex import core_of, distance
+from golden import Golden
 from hypothesis import given, settings, strategies as st
 from marks import slow_but_first, slow_unless
 from places import BAR
@@ -584,18 +585,15 @@ def test_a_path_not_known_ahead_ends_at_the_margin_too(acceleration: float) -> N
 
 
 @pytest.mark.slow
-@pytest.mark.skipif(len(KERNELS) < 2, reason="there is no compiled core here")
+@pytest.mark.core
 @pytest.mark.parametrize("known", [True, False])
-def test_both_kernels_keep_the_same_distance(known: bool) -> None:
+def test_a_distance_is_kept_as_recorded(known: bool, golden: Golden) -> None:
     scenario = plate_and_table(tilt=0.1)
     if not known:
         scenario = replace(scenario, path=Opaque(scenario.path, known_ahead=False))
-    runs = [run(scenario, scene_of(scenario), kernel=kernel, acceleration=5.0) for kernel in KERNELS]
-    first, second = (recording.q_command for recording, _, _ in runs)
-    assert first.shape == second.shape
-    assert np.abs(first - second).max() < 1e-9
-    for a, b in zip(runs[0][1], runs[1][1], strict=True):
-        assert (a.status, a.binding) == (b.status, b.binding)
+    done = golden.of(None, 5e-9)
+    for step in run(scenario, scene_of(scenario), kernel=golden.kernel, acceleration=5.0)[1]:
+        done.add(step)
 
 
 def test_far_from_everything_the_steps_are_those_without_a_scene(lift: Scenario) -> None:

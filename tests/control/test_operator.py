@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 import pytest
+from golden import Golden
 from marks import slow_but_first
 from runs import built, cooperative, limited_once
 
@@ -451,23 +452,19 @@ def test_a_long_run_keeps_few_knots() -> None:
     assert 500 < len(trail) <= 1024
 
 
-def test_the_trail_is_the_same_in_both_kernels() -> None:
-    trails = []
-    for kernel in KERNELS:
-        controller = lift(kernel, dual_arm7)
-        steps(controller, 150)
-        controller.reverse(0.2)
-        until(controller, Status.PAUSED)
-        controller.forward()
-        steps(controller, 60)
-        operator = copy.copy(controller)._operator  # a copy has all of it
-        assert operator.trail is not None
-        clocks, x = (np.array([knot[i] for knot in operator.trail._knots]) for i in (0, 1))
-        assert (np.diff(clocks) > 0.0).all()
-        trails.append((clocks, x))
-    assert len(trails[0][0]) > 15
-    for ours, theirs in zip(trails[0], trails[-1], strict=True):
-        assert ours == pytest.approx(theirs, abs=1e-9)
+def test_the_trail_rises_and_a_copy_has_all_of_it(golden: Golden) -> None:
+    done = golden.of(lift(golden.kernel, dual_arm7))
+    done.run(150)
+    done.ask(lambda controller: controller.reverse(0.2))
+    while done.take().status is not Status.PAUSED:
+        pass
+    done.ask(lambda controller: controller.forward())
+    done.run(60)
+    operator = copy.copy(done.controller)._operator
+    assert operator.trail is not None
+    clocks = np.array([knot[0] for knot in operator.trail._knots])
+    assert len(clocks) > 15
+    assert (np.diff(clocks) > 0.0).all()
 
 
 @fast
@@ -517,22 +514,14 @@ def test_a_recording_of_back_and_hand_is_in_order() -> None:
 
 
 @pytest.mark.slow
-def test_a_plan_and_its_way_back_are_the_same_in_both_kernels() -> None:
-    if len(KERNELS) < 2:
-        pytest.skip("there is one kernel only")
+def test_a_plan_and_its_way_back_as_recorded(golden: Golden) -> None:
     task = limited_once(dual_arm7, 5.0)
     path = plan(task.cell, task.grasp, task.path, q_start=task.q_start).path
-    runs = []
-    for kernel in KERNELS:
-        controller = built(task, kernel, dt=DT, path=path)
-        done = steps(controller, 100)
-        controller.reverse()
-        done += until(controller, Status.PAUSED)
-        kept(controller, done)
-        runs.append(done)
-    for a, b in zip(*runs, strict=True):
-        np.testing.assert_allclose(a.q_next, b.q_next, atol=1e-9)
-        assert a.status is b.status
+    done = golden.of(built(task, golden.kernel, dt=DT, path=path)).run(100)
+    done.ask(lambda controller: controller.reverse())
+    while done.take().status is not Status.PAUSED:
+        pass
+    kept(done.controller, done.steps)
 
 
 @both

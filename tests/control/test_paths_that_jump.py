@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 import pytest
+from golden import Golden
 from marks import slow_but_first
 
 from coopqp import ObjectPath, QPController, QPOptions, Status
@@ -93,15 +94,10 @@ def test_a_path_that_starts_like_a_root_is_too_steep_and_jumps_not(kernel: str) 
 
 
 @pytest.mark.core
-@pytest.mark.skipif("compiled" not in available_kernels(), reason="nothing is compiled")
 @pytest.mark.parametrize("kind", ["ramps and stairs", "root", pytest.param("kinks", marks=pytest.mark.slow)])
 @pytest.mark.parametrize("acceleration", slow_but_first([8.0, np.inf]))
-def test_both_kernels_agree_on_paths_that_jump_and_bend(kind: str, acceleration: float) -> None:
-    (plain, _), (compiled, _) = (controller_on(kind, kernel, acceleration) for kernel in ("plain", "compiled"))
-    for _ in range(330):
-        a, b = plain.step(), compiled.step()
-        assert (a.status, a.cause, a.reason, a.binding) == (b.status, b.cause, b.reason, b.binding)
-        assert b.rate == pytest.approx(a.rate, abs=1e-9)
+def test_paths_that_jump_and_bend_as_recorded(kind: str, acceleration: float, golden: Golden) -> None:
+    golden.of(controller_on(kind, golden.kernel, acceleration)[0], 1e-8).run(330)
 
 
 @pytest.mark.parametrize("kernel", available_kernels())

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 import pytest
+from golden import Golden
 from marks import slow_but_first
 from runs import built, drive, fast_lift, hurried, limited
 
@@ -160,21 +161,16 @@ def braking_time(task: Scenario, step: ControlStep) -> float:
 
 @pytest.mark.slow
 @pytest.mark.core
-@pytest.mark.skipif(len(KERNELS) < 2, reason="there is no compiled core here")
 @pytest.mark.parametrize("acceleration", [np.inf, 5.0])
 @pytest.mark.parametrize("name", CELLS)
-def test_both_kernels_agree_under_any_override(name: str, acceleration: float) -> None:
+def test_any_override_as_recorded(name: str, acceleration: float, golden: Golden) -> None:
     task = limited(CELLS[name](), acceleration)
     for options in ({}, {"preview": None}):
-        a, b = built(task, "compiled", dt=0.005, **options), built(task, "plain", dt=0.005, **options)
-        one, other = random_hand(3), random_hand(3)
+        done, hand = golden.of(built(task, golden.kernel, dt=0.005, **options), 1e-8), random_hand(3)
         for i in range(150):
             if i % 10 == 0 or i % 120 in (60, 100):
-                one(a, i), other(b, i)
-            x, y = a.step(), b.step()
-            np.testing.assert_allclose(x.velocity, y.velocity, rtol=0.0, atol=1e-8)
-            assert (x.status, x.binding, x.reason) == (y.status, y.binding, y.reason)
-            assert (a.override, a.paused) == (b.override, b.paused)
+                hand(done.controller, i)
+            done.take()
 
 
 @pytest.mark.core

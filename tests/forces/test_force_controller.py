@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 import pytest
+from golden import Golden, Run
 from hypothesis import given, strategies as st
 from marks import slow_but_first
 
@@ -283,22 +284,15 @@ def test_the_tools_of_the_pseudo_inverse_follow_a_grasp_that_moves(task: Scenari
     assert max(np.abs(pin.log6(task.path.pose(0.0).actInv(o)).vector).max() for o in O) < 1e-7
 
 
-def test_core_and_definition_agree_about_a_grasp_that_moves(task: Scenario) -> None:
-    if len(available_kernels()) < 2:
-        pytest.skip("one kernel")
-    made = [
-        QPController(task.cell, task.grasp, task.path, dt=task.dt, options={"kernel": kernel})
-        for kernel in ("compiled", "plain")
-    ]
-    for controller in made:
-        controller.reset(task.q_start)
-    rng = np.random.default_rng(0)
+@pytest.mark.core
+def test_a_grasp_that_moves_as_recorded(task: Scenario, golden: Golden) -> None:
+    made = QPController(task.cell, task.grasp, task.path, dt=task.dt, options={"kernel": golden.kernel})
+    made.reset(task.q_start)
+    done, rng = golden.of(made), np.random.default_rng(0)
     for _ in range(40):
         shift = 1e-4 * rng.normal(size=(3, 6))
-        for controller in made:
-            controller.shift_grasp(shift)
-        a, b = (controller.step() for controller in made)
-        np.testing.assert_allclose(a.q_next, b.q_next, rtol=0, atol=1e-10)
+        done.ask(lambda controller, shift=shift: controller.shift_grasp(shift))
+        done.take()
 
 
 @pytest.mark.core
@@ -345,7 +339,9 @@ LONG = {"palms": 340, "on a lift": 700}
 FAULTS = ("none", "noise", "lost", "late", "silent", "wrong", "out of reach", "palms", "lags", "on a lift")
 
 
-def fed(made: ForceController, case: str, steps: int, *, start: Array, as_lists: bool = False) -> list[Any]:
+def fed(
+    made: ForceController, case: str, steps: int, *, start: Array, as_lists: bool = False, done: Run | None = None
+) -> list[Any]:
     """Commands, statuses and reasons of scripted samples, with copies in between."""
     rng, q, late, out = np.random.default_rng(0), start, np.zeros((len(made.cell), 6)), []
     push = np.random.default_rng(1).normal(size=late.shape)
@@ -366,7 +362,7 @@ def fed(made: ForceController, case: str, steps: int, *, start: Array, as_lists:
             step = made.step(q.tolist(), wrenches=None if given is None else given.tolist(), dt=dt)
         else:
             step = made.step(q, wrenches=given, dt=dt)
-        q = step.q_next
+        q = step.q_next if done is None else done.add(step).q_next
         out.append((q.tobytes(), step.rate, step.status, step.reason, made.shift.tobytes()))
         if i % 90 == 80:
             made = copy.copy(made) if i % 180 > 90 else pickle.loads(pickle.dumps(made))
@@ -412,40 +408,28 @@ def test_a_step_is_the_same_whether_python_takes_part_or_not(case: str) -> None:
 @pytest.mark.core
 @pytest.mark.slow
 @pytest.mark.parametrize("case", FAULTS)
-def test_core_and_definition_agree_about_steps_with_wrenches(case: str) -> None:
-    if len(available_kernels()) < 2:
-        pytest.skip("one kernel")
-    steps = LONG.get(case, 230)
-    (made, start), (plain, _) = scripted(case), scripted(case, "plain")
+def test_steps_with_wrenches_as_recorded(case: str, golden: Golden) -> None:
+    made, start = scripted(case, golden.kernel)
     same = 5e-8 if case == "noise" else 1e-8  # noise carries roundings into the rate
-    for a, b in zip(fed(made, case, steps, start=start), fed(plain, case, steps, start=start), strict=True):
-        np.testing.assert_allclose(np.frombuffer(a[0]), np.frombuffer(b[0]), rtol=0, atol=same)
-        assert a[1] == pytest.approx(b[1], abs=same)
-        assert a[2] is b[2]
-        assert a[3].partition(" at the ")[0] == b[3].partition(" at the ")[0], "of palms that press alike any is named"
+    fed(made, case, LONG.get(case, 230), start=start, done=golden.of(made, same))
 
 
 @pytest.mark.core
-def test_core_and_definition_see_the_same_haste_of_joints(task: Scenario) -> None:
-    """It is that of what is commanded: as a path begins it rises, and once its speed is constant it is forgotten."""
-    if len(available_kernels()) < 2:
-        pytest.skip("one kernel")
-    seen: list[list[float]] = []
+def test_the_haste_of_joints_is_that_of_what_is_commanded(task: Scenario) -> None:
+    """As a path begins it rises, and once its speed is constant it is forgotten."""
     there = task.path.pose(0.0)
     line = LinePath.displaced(there, translation=(0.0, 0.0, 0.3), duration=2.0, time_law="linear")
-    for kernel in ("compiled", "plain"):
-        inner = QPController(task.cell, task.grasp, line, dt=0.01, options={"kernel": kernel})
-        made = ForceController(inner, {"stiffness": 1e5, "presses": False, "check_time": 0.0})
-        made.reset(task.q_start)
-        rng, q, haste = np.random.default_rng(0), task.q_start, minding_scalars(made._relaxation.memory)
-        seen.append([])
-        for _ in range(100):
-            step = made.step(q, wrenches=0.5 * rng.normal(size=(3, 6)))
-            q = step.q_next
-            seen[-1].append(haste.haste)
-        assert step.rate == 1.0
-        assert max(seen[-1]) > 5.0 * seen[-1][-1]
-    np.testing.assert_allclose(seen[0], seen[1], rtol=0, atol=1e-6)
+    made = ForceController(
+        QPController(task.cell, task.grasp, line, dt=0.01), {"stiffness": 1e5, "presses": False, "check_time": 0.0}
+    )
+    made.reset(task.q_start)
+    rng, q, haste, seen = np.random.default_rng(0), task.q_start, minding_scalars(made._relaxation.memory), []
+    for _ in range(100):
+        step = made.step(q, wrenches=0.5 * rng.normal(size=(3, 6)))
+        q = step.q_next
+        seen.append(haste.haste)
+    assert step.rate == 1.0
+    assert max(seen) > 5.0 * seen[-1]
 
 
 @pytest.mark.core

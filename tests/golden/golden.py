@@ -33,7 +33,7 @@ class Run:
     """A controller, and the steps that it made."""
 
     golden: Golden
-    controller: QPController
+    controller: Any
     same: float = SAME
     told: list[Array] = field(default_factory=list)
     steps: list[ControlStep] = field(default_factory=list)
@@ -45,9 +45,12 @@ class Run:
     def __post_init__(self) -> None:
         self.golden.runs.append(self)
 
-    def take(self, q: Any = None, dt: Any = None) -> ControlStep:
+    def take(self, q: Any = None, dt: Any = None, **more: Any) -> ControlStep:
         """One step."""
-        step = self.controller.step(q, dt=dt)
+        return self.add(self.controller.step(q, dt=dt, **more))
+
+    def add(self, step: ControlStep) -> ControlStep:
+        """A step that was made elsewhere."""
         self.steps.append(step)
         self.told.append(step.q_next)
         self.bounds.append(self.same)
@@ -63,7 +66,7 @@ class Run:
                 break
         return self
 
-    def ask(self, call: Callable[[QPController], Any]) -> None:
+    def ask(self, call: Callable[[Any], Any]) -> None:
         """What an operator asks for."""
         call(self.controller)
 
@@ -105,6 +108,10 @@ class Golden:
         away = self._disturbed * self._rng.uniform(-1.0, 1.0, task.cell.nv)
         made.reset(task.cell.moved(task.q_start, away) if self._disturbed else task.q_start)
         return Run(self, made)
+
+    def of(self, controller: Any, same: float = SAME) -> Run:
+        """A run of a controller that has been built and reset elsewhere, with this arithmetic."""
+        return Run(self, controller, same)
 
     def tapes(self) -> list[Tape]:
         """What the runs did."""

@@ -49,6 +49,13 @@ class Recorder(runs.Session):
                 runs.write(file, left)
 
 
+class Only:
+    """Of the tests those with golden runs."""
+
+    def pytest_collection_modifyitems(self, items: list[pytest.Item]) -> None:
+        items[:] = [item for item in items if "golden" in getattr(item, "fixturenames", ())]
+
+
 def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("cases", nargs="*", metavar="CASE", help="part of the name of a test or of its parameters")
@@ -57,17 +64,18 @@ def main() -> int:
     parser.add_argument("--kernel", help="compare the steps of this kernel, and write nothing")
     args = parser.parse_args()
     chosen = ["-k", " or ".join(args.cases)] if args.cases else []
-    options = [str(HERE), *chosen, "--tb=line", "-rf", "-p", "no:cacheprovider", "-p", "no:xdist"]
+    files = [str(file) for file in sorted(HERE.parent.rglob("test_*.py")) if "golden: Golden" in file.read_text()]
+    options = [*files, *chosen, "--tb=line", "-rf", "-p", "no:cacheprovider", "-p", "no:xdist"]
     if args.disturbed or args.kernel:
         runs.SESSION = runs.Session(kernel=args.kernel or "auto", disturbed=args.disturbed, seed=args.seed)
-        return int(pytest.main(options))
+        return int(pytest.main(options, plugins=[Only()]))
     runs.SESSION = recorder = Recorder()
-    status = int(pytest.main([*options, "-s"]))
+    status = int(pytest.main([*options, "-s"], plugins=[Only()]))
     if not args.cases and not status:
         recorder.forget_others()
     for kernel in available_kernels()[1:]:
         runs.SESSION = runs.Session(kernel=kernel)
-        status = status or int(pytest.main(options))
+        status = status or int(pytest.main(options, plugins=[Only()]))
     return status
 
 

@@ -6,6 +6,7 @@ import pickle
 
 import numpy as np
 import pytest
+from golden import Golden
 from promise_cases.proofs import redundant_task
 
 from coopqp import InvalidInputError, QPController, QPOptions, Status, check_path, simulate
@@ -41,19 +42,14 @@ def test_elbows_that_are_proved_are_followed(seed: int, kernel: str, paper: Scen
         QPController(paper.cell, paper.grasp, led, dt=0.02)
 
 
-def test_both_kernels_follow_elbows_alike() -> None:
-    if "compiled" not in available_kernels():
-        pytest.skip("nothing is compiled")
+@pytest.mark.core
+def test_elbows_are_followed_as_recorded(golden: Golden) -> None:
     task = dual_arm7(duration=1.0)
     led = check_path(task.cell, task.grasp, task.path, q_start=task.q_start).led_path()
     assert led.elbows is not None
-    one, other = (
-        simulate(
-            QPController(task.cell, task.grasp, led, dt=0.02, options=QPOptions(kernel=kernel)), q_start=task.q_start
-        )
-        for kernel in ("compiled", "plain")
-    )
-    np.testing.assert_allclose(one.q, other.q, rtol=0, atol=1e-9)
+    made = QPController(task.cell, task.grasp, led, dt=0.02, options=QPOptions(kernel=golden.kernel))
+    made.reset(task.q_start)
+    golden.of(made).run(100)
 
 
 def test_clocks_of_elbows_have_to_rise() -> None:

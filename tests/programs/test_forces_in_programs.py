@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 import pytest
+from golden import Golden
 from runs import limited_once
 
 from coopqp import (
@@ -179,24 +180,17 @@ def test_the_sensor_of_an_arm_that_does_not_hold_counts_for_nothing(kernel: str)
 
 
 @pytest.mark.core
-def test_core_and_definition_agree_where_arms_let_go() -> None:
-    if len(available_kernels()) < 2:
-        pytest.skip("one kernel")
+def test_forces_where_arms_let_go_as_recorded(golden: Golden) -> None:
     task = regrasp(seconds=0.6)
-    pair = [(minding(task, kernel=kernel, **PATIENT), Script(task, 3, "anything")) for kernel in ("compiled", "plain")]
-    for made, _ in pair:
-        made.reset(task.q_start)
-    states = [task.q_start] * 2
-    for i in range(1500):
-        steps = [made.step(q, wrenches=s.wrenches(made)) for (made, s), q in zip(pair, states, strict=True)]
-        states = [step.q_next for step in steps]
-        for (_, script), step in zip(pair, steps, strict=True):
-            script.clock = step.clock
-        np.testing.assert_allclose(states[0], states[1], rtol=0, atol=1e-8, err_msg=f"step {i}")
-        assert steps[0].status is steps[1].status
-        if steps[0].finished:
+    done, script = golden.of(minding(task, kernel=golden.kernel, **PATIENT), 1e-8), Script(task, 3, "anything")
+    done.controller.reset(task.q_start)
+    q = task.q_start
+    for _ in range(1500):
+        step = done.take(q, wrenches=script.wrenches(done.controller))
+        q, script.clock = step.q_next, step.clock
+        if step.finished:
             break
-    assert steps[0].finished
+    assert step.finished
 
 
 def test_an_arm_that_presses_is_relaxed_before_it_lets_go_at_rest() -> None:

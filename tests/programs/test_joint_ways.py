@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 import pytest
+from golden import Golden
 from runs import limited_once
 
 from coopqp import (
@@ -230,10 +231,9 @@ def test_what_does_not_fit_is_refused_when_it_is_built() -> None:
 @pytest.mark.parametrize("preview", [True, False])
 @pytest.mark.parametrize("case", ["rests", "moves", "fast", "samples", "back"])
 @pytest.mark.core
-def test_the_core_does_the_same(case: str, preview: bool) -> None:
-    pytest.importorskip("coopqp.native._core")
+def test_arms_follow_their_joints_as_recorded(case: str, preview: bool, golden: Golden) -> None:
     task = lift()
-    program = out_and_back(task, rests=case != "moves", duration={"fast": 0.4}.get(case, 2.0))
+    program = out_and_back(task, rests=case != "moves", duration={"fast": 0.6}.get(case, 2.0))
     if case == "samples":
         x, at = own(task, task.q_start), np.linspace(0.0, 1.0, 9)
         way = JointPath.through(3.0 * at, x + np.sin(np.pi * at)[:, None] * ELSEWHERE)
@@ -241,26 +241,20 @@ def test_the_core_does_the_same(case: str, preview: bool) -> None:
         phases = [Phase("go", arms={"slave_2": FollowsJoints(way)}), Phase("back", arms=back, duration=0.5)]
         program = Program(task.cell, task.grasp, [*phases, Phase("lift", path=task.path)])
     options: dict[str, Any] = {} if preview else {"preview": None}
-    pair = [started(task, program, kernel=kernel, **options) for kernel in ("plain", "compiled")]
-    assert [controller.kernel for controller in pair] == ["plain", "compiled"]
+    done = golden.of(started(task, program, kernel=golden.kernel, **options))
     for i in range(1200):
-        for controller in pair if case == "back" else ():
-            if i == 120:
-                controller.reverse(0.2)
-            elif i == 400:
-                controller.forward()
-        plain, compiled = (controller.step() for controller in pair)
-        assert plain.status is compiled.status
-        assert np.abs(plain.velocity - compiled.velocity).max() < 1e-8
-        assert abs(plain.rate - compiled.rate) < 1e-9
-        if plain.finished or plain.status is Status.HOLDING:
+        if case == "back" and i == 120:
+            done.ask(lambda controller: controller.reverse(0.2))
+        elif case == "back" and i == 400:
+            done.ask(lambda controller: controller.forward())
+        step = done.take()
+        if step.finished or step.status is Status.HOLDING:
             break
-    assert plain.finished or not preview
+    assert step.finished or not preview
 
 
-def test_a_seven_joint_arm_follows_its_joints() -> None:
+def test_a_seven_joint_arm_follows_its_joints(golden: Golden) -> None:
     """All seven are led; the null-space of the others goes on."""
-    pytest.importorskip("coopqp.native._core")
     task = limited_once(dual_arm7, 5.0)
     x = task.cell.positions(task.q_start)[task.cell.columns[1]]
     way = JointPath([x, x + 0.15, x], 1.0)
@@ -274,12 +268,10 @@ def test_a_seven_joint_arm_follows_its_joints() -> None:
         Phase("up", path=up),
     ]
     program = Program(task.cell, task.grasp, phases)
-    runs = [run(started(task, program, kernel=kernel)) for kernel in ("plain", "compiled")]
-    assert all(steps[-1].finished for steps in runs)
-    for plain, compiled in zip(*runs, strict=True):
-        assert np.abs(plain.q_next - compiled.q_next).max() < 1e-8
-    led = [task.cell.positions(step.q_next)[task.cell.columns[1]] for step in runs[1] if step.clock_next < 2.0]
-    off = [np.abs(x - way.at(step.clock_next)[0]).max() for x, step in zip(led, runs[1], strict=False)]
+    steps = golden.of(started(task, program, kernel=golden.kernel)).run(2000).steps
+    assert steps[-1].finished
+    led = [task.cell.positions(step.q_next)[task.cell.columns[1]] for step in steps if step.clock_next < 2.0]
+    off = [np.abs(x - way.at(step.clock_next)[0]).max() for x, step in zip(led, steps, strict=False)]
     assert max(off) < 1e-6
 
 

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 import pytest
+from golden import Golden
 from marks import slow_but_first
 from runs import limited_once
 
@@ -235,17 +236,13 @@ def test_every_scenario_that_is_a_program_runs_to_its_end(name: str) -> None:
     assert check_path(task.cell, task.grasp, task.path, q_start=task.q_start).feasible
 
 
-@pytest.mark.skipif("compiled" not in KERNELS, reason="compares the kernels")
+@pytest.mark.core
 @pytest.mark.parametrize("name", PROGRAMS)
-def test_kernels_agree_on_every_program(name: str) -> None:
+def test_every_program_as_recorded(name: str, golden: Golden) -> None:
     task = PROGRAMS[name]()
-    both = [QPController(task.cell, task.grasp, task.path, dt=0.01, options={"kernel": k}) for k in KERNELS]
-    for controller in both:
-        controller.reset(task.q_start)
-    for i in range(150):
-        a, b = (controller.step() for controller in both)
-        assert np.abs(a.velocity - b.velocity).max() < 1e-8, i
-        assert a.status is b.status
+    controller = QPController(task.cell, task.grasp, task.path, dt=0.01, options={"kernel": golden.kernel})
+    controller.reset(task.q_start)
+    golden.of(controller, 1e-8).run(150)
 
 
 def test_the_leader_leaves_an_object_that_moves_and_the_path_speed_stays() -> None:

@@ -1,4 +1,4 @@
-"""What a test of golden runs is given: ``golden``, whose runs are compared when the test has done its own checks."""
+"""What any test may ask for: ``golden``. Its runs are compared with recorded ones when the test has done its checks."""
 
 from __future__ import annotations
 
