@@ -125,3 +125,21 @@ def test_bits_do_not_depend_on_where_memory_lies() -> None:
         others = [np.empty(n) for n in rng.integers(1, 400, 200)]  # the next run's memory lies elsewhere
         assert beside_a_cart(400) == first
         del others
+
+
+@pytest.mark.core
+@pytest.mark.parametrize("make", [mixed_cell, dual_arm7])
+def test_a_restart_repeats_to_the_last_bit(make: Callable[[], Scenario]) -> None:
+    task = make()
+    cell = task.cell.with_limits(acceleration=4.0)
+    controller = QPController(cell, task.grasp, task.path, dt=0.005)
+
+    def ran(steps: int) -> bytes:
+        controller.reset(task.q_start)
+        made = [controller.step() for _ in range(steps)]
+        return np.array([[*step.q_next, step.clock_next, step.rate] for step in made]).tobytes()
+
+    first = ran(40)
+    for steps in (1, 9):
+        ran(steps)  # it starts again from close by
+        assert ran(40) == first
