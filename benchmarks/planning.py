@@ -6,7 +6,7 @@ The cases take turns in one run: trust the ratios. See benchmarks/README.md.
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -19,7 +19,7 @@ from common import Record
 
 from coopqp import Grasp, LinePath, ObjectPath, QPController, RobotCell, Status, find_start, simulate
 from coopqp.errors import NoStartError
-from coopqp.model.batch import ArmKinematics, batch_kernels
+from coopqp.model.batch import ArmKinematics
 from coopqp.model.chain import Chain
 from coopqp.model.inverse_kinematics import newton
 from coopqp.planning import time_path
@@ -61,7 +61,7 @@ def batch(plan: Plan, progress: common.Progress) -> list[Record]:
     chain = Chain(lift.cell, lift.grasp)
     tools = [np.array([(T * X).homogeneous for T in near]) for X in lift.grasp.T_object_tool]
     starts = [np.tile(lift.q_start[s], (plan.poses, 1)) for s in lift.cell.q_slices]
-    missed = {"kept chain": 0}
+    missed = {"kept chain": 0, "core": 0}
 
     def kept() -> Iterable[float]:
         began = time.perf_counter()
@@ -70,20 +70,15 @@ def batch(plan: Plan, progress: common.Progress) -> list[Record]:
             missed["kept chain"] += int(np.abs(errors).max() > 1e-9)
         yield (time.perf_counter() - began) / plan.alone
 
-    def of(kernel: Any) -> Callable[[], Iterable[float]]:
-        arms = [ArmKinematics(arm, kernel=kernel) for arm in lift.cell.arms]
-        missed[kernel] = 0
+    arms = [ArmKinematics(arm) for arm in lift.cell.arms]
 
-        def run() -> Iterable[float]:
-            began = time.perf_counter()
-            for arm, T, q in zip(arms, tools, starts, strict=True):
-                missed[kernel] += int((~arm.solve(T, q).reached).sum())
-            yield (time.perf_counter() - began) / plan.poses
+    def core() -> Iterable[float]:
+        began = time.perf_counter()
+        for arm, T, q in zip(arms, tools, starts, strict=True):
+            missed["core"] += int((~arm.solve(T, q).reached).sum())
+        yield (time.perf_counter() - began) / plan.poses
 
-        return run
-
-    contestants = {"kept chain": kept, **{kernel: of(kernel) for kernel in batch_kernels()}}
-    samples = common.interleaved(contestants, rounds=plan.rounds, progress=progress)
+    samples = common.interleaved({"kept chain": kept, "core": core}, rounds=plan.rounds, progress=progress)
     base = samples["kept chain"]
     records = []
     for name, times in samples.items():
@@ -223,7 +218,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     plan = QUICK if args.quick else FULL
     description = common.describe("planning", {"poses": plan.poses, "rounds": plan.rounds})
     print(common.header(description), flush=True)
-    total = plan.rounds * (1 + len(batch_kernels())) + len(user_cells.CELLS) + 3 * len(plan.rings) + plan.paths + 3
+    total = plan.rounds * 2 + len(user_cells.CELLS) + 3 * len(plan.rings) + plan.paths + 3
     progress = common.Progress(total)
     records = [*batch(plan, progress), *starts(plan, progress)]
     checked = check_cases.checks(plan.rings, plan.rounds, progress)

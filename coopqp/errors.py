@@ -5,7 +5,7 @@ from __future__ import annotations
 import difflib
 import itertools
 import unicodedata
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any
 
 
@@ -63,10 +63,6 @@ class StiffnessWarning(UserWarning):
     """Arms that hold one object are measured without their servos' stiffness: one that stops may be seen late."""
 
 
-class KernelWarning(UserWarning):
-    """A compiled part is not there: it takes about a hundred times longer. Said once by each program."""
-
-
 class BusyError(CoopqpError, RuntimeError):
     """A controller was called while another thread computes its step: a misuse of the program. Nothing was changed."""
 
@@ -101,6 +97,38 @@ class TooCloseError(InvalidInputError, UnreachableError):
 
 class UndecidedError(CoopqpError):
     """A computation failed numerically: its question stays open."""
+
+
+class MissingCoreError(CoopqpError, ImportError):
+    """The compiled core is not there, or cannot be loaded. The message says what to install."""
+
+    def __init__(self, why: str) -> None:
+        super().__init__(
+            f"the compiled core of coopqp is missing: {why}. Where no wheel fits, it is built, by a C++ compiler: "
+            "pip install --force-reinstall coopqp"
+        )
+        self.why = why
+
+    def __reduce__(self) -> tuple[type[MissingCoreError], tuple[str]]:
+        return type(self), (self.why,)
+
+
+class RemovedNameError(CoopqpError, ImportError):
+    """A name that an earlier version had. The message says what replaces it."""
+
+
+def removed(module: str, names: Mapping[str, str]) -> Callable[[str], Any]:
+    """``__getattr__`` of a module that had some names before, each with what replaces it.
+
+    It raises a RemovedNameError for those, and an AttributeError for all others.
+    """
+
+    def look(name: str) -> Any:
+        if name in names:
+            raise RemovedNameError(f"{module}.{name} is gone: {names[name]}.")
+        raise AttributeError(f"module {module!r} has no attribute {name!r}")
+
+    return look
 
 
 class MissingExtraError(CoopqpError, ImportError):
@@ -212,3 +240,9 @@ def _is_control(character: str) -> bool:
 
 #: Categories of Unicode: control, format (also the direction of writing), surrogates, line and paragraph separators.
 _CONTROLS = ("Cc", "Cf", "Cs", "Zl", "Zp")
+
+
+__getattr__ = removed(
+    __name__,
+    {"KernelWarning": "without the compiled core nothing runs, and its absence is a MissingCoreError"},
+)

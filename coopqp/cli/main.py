@@ -38,14 +38,13 @@ class _Parser(argparse.ArgumentParser):
 
 
 class _Version(argparse.Action):
-    """Prints the kernel and the versions of what coopqp stands on."""
+    """Prints the versions of coopqp and of what it stands on, and the solver."""
 
     def __call__(self, parser: argparse.ArgumentParser, *_: Any, **__: Any) -> NoReturn:
-        from coopqp.native import kernel_text
         from coopqp.solvers.choice import default_solver
 
         print(f"coopqp {metadata.version('coopqp')}")
-        print(f"kernel: {kernel_text()}; solver {default_solver()}")
+        print(f"solver {default_solver()}")
         versions = {"python": platform.python_version(), **{name: metadata.version(name) for name in _SHOWN}}
         print(", ".join(f"{name} {version}" for name, version in versions.items()))
         parser.exit()
@@ -104,7 +103,7 @@ def _status_of(error: CoopqpError) -> int:
 
 def _main(argv: Sequence[str] | None) -> int:
     parser = _Parser(prog="coopqp", description="QP-based cooperative control of several arms that hold one object.")
-    parser.add_argument("--version", action=_Version, nargs=0, help="print the versions and the kernel, and end")
+    parser.add_argument("--version", action=_Version, nargs=0, help="print the versions, and end")
     commands = parser.add_subparsers(title="commands", dest="command", metavar="COMMAND", required=True)
     for add in _COMMANDS:
         add(commands)

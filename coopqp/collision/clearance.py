@@ -15,7 +15,7 @@ import numpy as np
 import pinocchio as pin
 
 from coopqp.checks import as_scalar, require
-from coopqp.collision.distances import KERNEL, Distances, LowerBounds
+from coopqp.collision.distances import Distances, LowerBounds
 from coopqp.collision.evasion import APPROACH, COMFORT, EvadingSlopes
 from coopqp.collision.moving_bodies import MovingBodies
 from coopqp.collision.scene import CollisionScene
@@ -27,6 +27,7 @@ from coopqp.errors import TooCloseError
 from coopqp.model.limits import BindingLimit, LimitKind
 from coopqp.model.shapes import NearPair, by_depth
 from coopqp.model.state import CellState
+from coopqp.native import _core
 from coopqp.native.constants import BEND_SAMPLE, BENT_WAY, SMALL_CLEARANCE, STANDING, WATCHED, WATCHED_BLIND
 from coopqp.spatial import Array, Placement, as_placement
 
@@ -259,7 +260,7 @@ class Clearance:
         if self._moving:
             which = np.array(near)
             self._moving.bound(which, bounds.clearances[which], gradient, lower, dt)
-        binds = KERNEL.binding(gradient.rows, lower, self._most)
+        binds = _core.binding(gradient.rows, lower, self._most)
         kept = LabelledRows(gradient.rows, lower, self._endless[: len(near)], np.array(near))
         if len(binds) < len(near):
             which = np.array([near[i] for i in binds], int)
@@ -310,7 +311,7 @@ class Clearance:
         return lower
 
     def in_memory(self, memory: Mapping[str, Array], *, ahead: bool = False) -> RowsInMemory | None:
-        """The same for standing bodies, compiled, over the memory of a compiled step; None without a compiler.
+        """The same for standing bodies, in the core, over the memory of a step; None for bodies that move.
 
         Each step does a bounded share of what need not be known at once. Pairs that it did not look at keep a lower
         bound of their distance, which the joints' motion takes from.
@@ -319,7 +320,7 @@ class Clearance:
             memory: see :meth:`coopqp.control.core.memory.Memory.of_rows`.
             ahead: for grid points ahead, not for rows.
         """
-        if self._moving or not hasattr(KERNEL, "Nearby"):
+        if self._moving:
             return None
         names = (
             "positions", "command", "dt", "G", "lower", "upper", "soft", "owner", "knots", "knot_positions",

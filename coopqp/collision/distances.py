@@ -11,15 +11,11 @@ import numpy as np
 import numpy.typing as npt
 import pinocchio as pin
 
-from coopqp.collision import bounds_plain
 from coopqp.collision.built_scene import BuiltScene
 from coopqp.collision.coal_geometry import core_shape
-from coopqp.native import compiled, warn_once
+from coopqp.native import _core
 from coopqp.native.constants import DEEPEST, FARTHEST_POINT, LEAST_CLEARANCE
 from coopqp.spatial import Array
-
-#: The module for bounds and rows: compiled or plain.
-KERNEL: Any = compiled() or bounds_plain
 
 #: coal's own tolerance leaves gradients wrong by 0.2; with this one by 2e-4.
 _TOLERANCE = 1e-9
@@ -156,9 +152,7 @@ class Distances:
             "jacobian": self._data.J.T,
         }
         shapes = core_shapes(model, geometry)
-        if shapes is None:
-            return None
-        found = KERNEL.Nearby({**own, **arrays}, settings, coal_asked, shapes)
+        found = _core.Nearby({**own, **arrays}, settings, coal_asked, shapes)
         return found if self._are_placed_by(found) else None
 
     def _are_placed_by(self, nearby: Any) -> bool:
@@ -198,7 +192,7 @@ class Distances:
         both, lower = np.array(ends).reshape(-1, 6), np.empty(len(ends))
         both[~(np.abs(both) < FARTHEST_POINT).all(axis=1)] = 0.0  # of an overlap whose depth coal did not find
         G = np.empty((len(ends), self._cell.nv))
-        KERNEL.rows(both, self._data.J.T, self._kinds, clearances, pairs, approach, G, lower)
+        _core.rows(both, self._data.J.T, self._kinds, clearances, pairs, approach, G, lower)
         return Gradient(G, both[:, :3], both[:, 3:]), lower
 
 
@@ -211,18 +205,11 @@ class LowerBounds:
     Args:
         built: the scene of the pairs.
         distances: the distances that are asked.
-        kernel: the code of the bounds, ``distances_binding.cpp`` or :mod:`coopqp.collision.bounds_plain`; None for the
-            fastest of this installation.
-
-    Warns:
-        KernelWarning: there is no compiled kernel, and none was asked for.
     """
 
-    def __init__(self, built: BuiltScene, distances: Distances, *, kernel: Any = None) -> None:
-        if kernel is None:
-            warn_once()
-        self._margins, self.distances, self._kernel = built.margins, distances, kernel or KERNEL
-        self._reach = np.ascontiguousarray(built.reach.T)  # as the kernel reads it
+    def __init__(self, built: BuiltScene, distances: Distances) -> None:
+        self._margins, self.distances = built.margins, distances
+        self._reach = np.ascontiguousarray(built.reach.T)  # as the core reads it
         self._most = built.reach.sum(axis=1)
         self._continuous = built.cell.continuous.astype(float)
         self._shares, self._weights = np.empty(len(built.margins)), np.zeros(built.cell.nv)
@@ -243,11 +230,11 @@ class LowerBounds:
 
     def follow(self, positions: Array) -> None:
         """The joints are at positions (nv,) now."""
-        self._kernel.follow(self.clearances, self._reach, self.positions, positions, self._continuous)
+        _core.follow(self.clearances, self._reach, self.positions, positions, self._continuous)
 
     def near(self, watch: Array) -> list[int]:
         """Pairs nearer to their margin than this (P,) where shapes are placed; coal is asked for those that may be."""
-        asked = self._kernel.near(self.clearances, watch)
+        asked = _core.near(self.clearances, watch)
         self.ask(asked)
         return [k for k in asked if self.clearances[k] < watch[k]]
 
@@ -260,7 +247,7 @@ class LowerBounds:
         """Ask for pairs until the distance of the pair that may use up its clearance first is known."""
         known = set(asked)
         while len(known) < min(_MOST_ASKED, self.clearances.size):
-            k = self._kernel.soonest(self.clearances, self._most, LEAST_CLEARANCE)
+            k = _core.soonest(self.clearances, self._most, LEAST_CLEARANCE)
             if k in known:
                 return
             self.ask([k])
@@ -276,15 +263,12 @@ class LowerBounds:
             spare: clearance that is kept for something else [m].
         """
         weights = self._weights
-        known = self._kernel.certify(self.clearances, self._reach, spare, self._shares, weights)
+        known = _core.certify(self.clearances, self._reach, spare, self._shares, weights)
         return weights.copy(), 1.0 if known else -1.0
 
 
-def core_shapes(model: pin.Model, geometry: pin.GeometryModel) -> dict[str, Any] | None:
-    """Joints, shapes and pairs as ``nearby.h`` takes them; None for joints that it does not know."""
-    joints = list(model.joints)[1:]
-    if any(joint.nv != 1 or joint.idx_v != i for i, joint in enumerate(joints)):
-        return None
+def core_shapes(model: pin.Model, geometry: pin.GeometryModel) -> dict[str, Any]:
+    """Joints, shapes and pairs as ``nearby.h`` takes them."""
     data = model.createData()
     pin.computeJointJacobians(model, data, pin.neutral(model))
     pin.updateGeometryPlacements(model, data, geometry, placed := geometry.createData())
@@ -296,7 +280,7 @@ def core_shapes(model: pin.Model, geometry: pin.GeometryModel) -> dict[str, Any]
         corners.append(np.ascontiguousarray(own.corners).ravel())
     return {
         "axes": np.ascontiguousarray(data.J.T),
-        "carriers": np.array([model.parents[i + 1] - 1 for i in range(len(joints))], dtype=float),
+        "carriers": np.array([model.parents[i + 1] - 1 for i in range(model.nv)], dtype=float),
         "shapes": np.array(shapes),
         "corners": corners,
         "pairs": np.array([(pair.first, pair.second) for pair in geometry.collisionPairs], dtype=float).reshape(-1),

@@ -1,4 +1,4 @@
-"""Edges of a search for the object's path, compiled (``edges.cpp``) or plain (:mod:`coopqp.collision.edges_plain`)."""
+"""Edges of a search for the object's path: the core walks them (``edges.cpp``)."""
 
 from __future__ import annotations
 
@@ -9,12 +9,11 @@ import numpy as np
 
 from coopqp.collision.built_scene import BuiltScene
 from coopqp.collision.coal_geometry import core_shape
-from coopqp.collision.distances import KERNEL
-from coopqp.collision.edges_plain import BENT, FAR, PlainEdges
 from coopqp.collision.gaps import ObjectPair, object_pairs
 from coopqp.model.batch import ArmKinematics
 from coopqp.model.grasp import Grasp
-from coopqp.planning.route.edges import EdgeLimits, Edges, Samples, Stop, Walked, columns_of
+from coopqp.native import _core
+from coopqp.planning.route.edges import EdgeLimits, Samples, Stop, Walked, columns_of
 from coopqp.planning.route.sampling import LEAST_SAMPLES
 from coopqp.planning.route.tree import STEP
 from coopqp.spatial import Array
@@ -23,51 +22,43 @@ from coopqp.spatial import Array
 _KINDS = ("", "reach", "limit", "singular", "pair")
 #: Samples of a geometry that there is room for at first.
 _FEW_SAMPLES = 200
-
-
-def edges_of(
-    built: BuiltScene,
-    arms: Sequence[ArmKinematics],
-    grasp: Grasp,
-    limits: EdgeLimits,
-    *,
-    shapes: dict[str, Any] | None = None,
-) -> Edges:
-    """Edges of a scene, compiled where they can be.
-
-    Args:
-        built: the scene.
-        arms: kinematics of each arm of its cell.
-        grasp: how they hold the object.
-        limits: what the edges keep.
-        shapes: what :func:`coopqp.collision.distances.core_shapes` tells of the scene; None for plain edges.
-    """
-    if shapes is None or not hasattr(KERNEL, "Edges") or any(arm.kernel is not KERNEL for arm in arms):
-        return PlainEdges(built, arms, grasp, limits)
-    return _CompiledEdges(KERNEL, shapes, built, arms, grasp, limits)
+#: Joints are taken to move this many times the straight way between two poses.
+_BENT = 1.1
+#: Lever of pairs that have none [m]: 0 times infinity is no number.
+_FAR = 1e9
 
 
 @final
-class _CompiledEdges:
-    """See :class:`coopqp.planning.route.edges.Edges`."""
+class SceneEdges:
+    """See :class:`coopqp.planning.route.edges.Edges`.
 
-    effort = 1.0
+    A room is a lower bound of a pair's distance less what is required. A step between two poses takes at most
+    ``drop = min(Σ ρ_j |δ_j|, |Δp| + lever · angle)`` of it. Where the room at its start is more than that and the
+    spare, the room at its end is what is left; else the distance is asked. The step keeps the pair's distance where
+    ``room_a + room_b ≥ drop``; else it is halved.
+
+    Args:
+        built: the scene.
+        shapes: what :func:`coopqp.collision.distances.core_shapes` tells of it.
+        arms: kinematics of each arm of its cell.
+        grasp: how they hold the object.
+        limits: what the edges keep.
+    """
 
     def __init__(
         self,
-        kernel: Any,
-        shapes: dict[str, Any],
         built: BuiltScene,
+        shapes: dict[str, Any],
         arms: Sequence[ArmKinematics],
         grasp: Grasp,
         limits: EdgeLimits,
     ) -> None:
         numbers = {
             "reach": np.ascontiguousarray(built.reach.T),
-            "levers": np.minimum(built.levers, FAR),
+            "levers": np.minimum(built.levers, _FAR),
             "required": limits.required, "spare": limits.spare, "lower": limits.lower, "upper": limits.upper,
             "held": np.array([_numbers_of(pair) for pair in object_pairs(built, grasp)], dtype=float),
-            "settings": np.array([limits.sigma_min, BENT]),
+            "settings": np.array([limits.sigma_min, _BENT]),
         }  # fmt: skip
         of_arms = [
             {
@@ -78,8 +69,8 @@ class _CompiledEdges:
             for arm, columns, X in zip(arms, columns_of(built.cell, arms), grasp.T_object_tool, strict=True)
         ]
         self._samples = _room_for(_FEW_SAMPLES)
-        self._kernel, self._pairs = kernel, len(built.labels)
-        self._native = kernel.Edges(numbers, of_arms, shapes)
+        self._pairs = len(built.labels)
+        self._native = _core.Edges(numbers, of_arms, shapes)
 
     def walk(self, poses: Array, motion: Array, x: Array, rooms: Array) -> Walked:
         """See :class:`coopqp.planning.route.edges.Edges`."""
@@ -101,7 +92,7 @@ class _CompiledEdges:
     def line(self, start: Array, goal: Array, steps: int) -> Array:
         """See :class:`coopqp.planning.route.edges.Edges`."""
         poses = np.empty((steps + 1, 12))
-        self._kernel.line(start, goal, poses)
+        _core.line(start, goal, poses)
         return poses
 
     def samples(self, poses: Array, deviations: Array) -> Samples:
@@ -109,7 +100,7 @@ class _CompiledEdges:
         settings = np.array([STEP, LEAST_SAMPLES])
         while True:
             size = len(self._samples[0])
-            found = self._kernel.rounded(poses, deviations, settings, *self._samples)
+            found = _core.rounded(poses, deviations, settings, *self._samples)
             if found <= size:
                 s, rows, motion = self._samples
                 return Samples(s[:found].copy(), rows[:found].copy(), motion[: found - 1].copy())

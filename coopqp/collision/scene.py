@@ -18,7 +18,7 @@ from coopqp.collision.built_scene import BuiltScene, Levers, Part, joints_to
 from coopqp.collision.coal_geometry import reach_of
 from coopqp.collision.convex_shapes import ConvexShapes
 from coopqp.collision.distances import Distances, core_shapes
-from coopqp.collision.edges import edges_of
+from coopqp.collision.edges import SceneEdges
 from coopqp.collision.evasion import evading_trajectory
 from coopqp.collision.gaps import ObjectGaps
 from coopqp.collision.one_robot import OneRobot
@@ -196,12 +196,12 @@ class CollisionScene:
         return required, built.levers
 
     @cached_property
-    def _core_shapes(self) -> dict[str, Any] | None:
+    def _core_shapes(self) -> dict[str, Any]:
         return core_shapes(self.cell.model, self.built.geometry)
 
     def edges(self, arms: Sequence[ArmKinematics], grasp: Grasp, limits: EdgeLimits) -> Edges:
         """Edges of a search for a way of these arms among the bodies."""
-        return edges_of(self.built, arms, grasp, limits, shapes=self._core_shapes)
+        return SceneEdges(self.built, self._core_shapes, arms, grasp, limits)
 
     @cached_property
     def _gaps(self) -> ObjectGaps:

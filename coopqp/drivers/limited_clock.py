@@ -8,17 +8,9 @@ from __future__ import annotations
 
 from typing import final
 
-import numpy as np
-import numpy.typing as npt
-
 from coopqp.drivers.command_spline import CommandSpline
-from coopqp.native import compiled
-from coopqp.native.constants import RATE_CANDIDATES
+from coopqp.native import _core
 from coopqp.spatial import Array
-
-_COMPILED = compiled()
-#: Candidates of each of the two passes of the search.
-_CANDIDATES = np.linspace(1.0, 0.0, RATE_CANDIDATES + 1)
 
 
 @final
@@ -58,28 +50,8 @@ class LimitedClock:
         return self.point
 
     def _limited(self, wanted: float) -> float:
-        """The rate nearest to the wanted one that keeps the limits; native/limited_clock.cpp does the same."""
-        if _COMPILED is not None:
-            points, count, every = self._spline.points, self._spline.count, self._spline.period
-            last, limits = (self.point, self._before), (self._most, self._most_change)
-            rate: float = _COMPILED.limited_rate(
-                points, count, every, *last, *limits, self.sigma, self._h, wanted, self.rate
-            )
-            return rate
-        high, low = wanted, self.rate
-        if self._allowed(np.array([high]))[0]:
-            return high
-        for _ in range(2):
-            rates = low + _CANDIDATES * (high - low)
-            allowed = self._allowed(rates)
-            allowed[-1] = True  # the last rate, or one that was found to be allowed
-            best = int(np.argmax(allowed))
-            high, low = float(rates[max(best - 1, 0)]), float(rates[best])
-        return low
-
-    def _allowed(self, rates: Array) -> npt.NDArray[np.bool_]:
-        """Which of some rates (m,) keep the limits."""
-        step = self._spline.values(self.sigma + rates * self._h) - self.point
-        change = step - (self.point - self._before)
-        fits = (np.abs(step) <= self._most) & (np.abs(change) <= self._most_change)
-        return np.asarray(fits.all(axis=1))
+        """The rate nearest to the wanted one that keeps the limits: ``limited_clock.cpp``."""
+        points, count, every = self._spline.points, self._spline.count, self._spline.period
+        last, limits = (self.point, self._before), (self._most, self._most_change)
+        rate: float = _core.limited_rate(points, count, every, *last, *limits, self.sigma, self._h, wanted, self.rate)
+        return rate

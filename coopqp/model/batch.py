@@ -1,30 +1,25 @@
 """Kinematics of one arm at thousands of tool poses at once: inverse kinematics, singular values, limit margins.
 
-Compiled (``kinematics_binding.cpp``), or in NumPy where there was no compiler (:mod:`coopqp.model.batch_plain`).
+The core computes them (``arm.h``, ``kinematics_binding.cpp``).
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from types import ModuleType
-from typing import Any, Literal, final
+from typing import Any, final
 
 import numpy as np
 import numpy.typing as npt
 
 from coopqp.checks import ArrayLike, as_floats
-from coopqp.errors import InvalidInputError, ModelError, UnknownNameError
-from coopqp.model import batch_plain
+from coopqp.errors import InvalidInputError, ModelError
 from coopqp.model.cell import Arm
 from coopqp.model.links import joint_links
-from coopqp.native import compiled, warn_once
+from coopqp.native import _core
 from coopqp.spatial import Array, Placement, as_placement, as_placements, cross
 
-_COMPILED = compiled()
-_KERNELS: dict[str, Any] = {**({"compiled": _COMPILED} if _COMPILED else {}), "plain": batch_plain}
-
-#: Longest rows or columns that the compiled functions take.
+#: Longest rows or columns that the core takes.
 _MOST_JOINTS = 64
 #: A solution reaches its pose within this [m, rad].
 REACHED = 1e-9
@@ -36,18 +31,13 @@ _LONGEST, _DAMPING = 1.0, 1e-2
 _WALKING_STEP, _HALVINGS = 0.3, 12
 
 
-def batch_kernels() -> tuple[str, ...]:
-    """Names of the batch kernels in this installation, the fastest first."""
-    return tuple(_KERNELS)
-
-
-def singular_values(A: Array, *, kernel: ModuleType | None = None) -> Array:
+def singular_values(A: Array) -> Array:
     """Singular values of M finite matrices (M, k, l), descending (M, min(k, l)); k or l is at most 6."""
     rows, columns = A.shape[1:]
     if max(rows, columns) > _MOST_JOINTS:
-        kernel = batch_plain
+        return np.asarray(np.linalg.svd(A, compute_uv=False))
     values = np.empty((len(A), min(rows, columns)))
-    (kernel or _KERNELS[batch_kernels()[0]]).singular_values(np.ascontiguousarray(A), rows, columns, values)
+    _core.singular_values(np.ascontiguousarray(A), rows, columns, values)
     return values
 
 
@@ -99,7 +89,6 @@ class ArmKinematics:
 
     Args:
         arm: the arm, at its base.
-        kernel: ``"compiled"``, ``"plain"`` (NumPy), or ``"auto"``, the fastest of this installation.
 
     Attributes:
         joints: names of the joints that move the tool, n of them.
@@ -111,23 +100,14 @@ class ArmKinematics:
         middle: middle between the limits, 0 without (n,) [rad or m].
         scale: unit of each joint, its largest speed [rad/s or m/s], 1 without (n,).
         turns: True for joints that tell whole turns apart: they revolve and are not continuous (n,).
-        numbers: the arm for the kernels, as ``arm.h`` lists it.
+        numbers: the arm for the core, as ``arm.h`` lists it.
 
     Raises:
         ModelError: a joint neither turns about an axis nor slides along one.
-        UnknownNameError: this installation has no such kernel.
-
-    Warns:
-        KernelWarning: there is no compiled kernel, and none was asked for by name.
     """
 
-    def __init__(self, arm: Arm, *, kernel: Literal["auto", "compiled", "plain"] = "auto") -> None:
-        if kernel != "auto" and kernel not in _KERNELS:
-            raise UnknownNameError("kernel", kernel, _KERNELS)
-        if kernel == "auto":
-            warn_once()
+    def __init__(self, arm: Arm) -> None:
         self.arm, model = arm, arm.model
-        self.kernel: ModuleType = _KERNELS[batch_kernels()[0] if kernel == "auto" else kernel]
         frame = model.frames[model.getFrameId(arm.tool_frame)]
         chain = [int(j) for j in model.supports[frame.parentJoint] if j]
         try:
@@ -162,7 +142,7 @@ class ArmKinematics:
         """T_world_tool at joint positions (M, n), as matrices (M, 4, 4)."""
         x = self._positions(q)
         poses = np.empty((len(x), 12))
-        self.kernel.place(self.numbers, x, poses, np.empty(6 * x.size))
+        _core.place(self.numbers, x, poses, np.empty(6 * x.size))
         T = np.zeros((len(x), 4, 4))
         T[:, :3, :3], T[:, :3, 3], T[:, 3, 3] = poses[:, :9].reshape(-1, 3, 3), poses[:, 9:], 1.0
         return T
@@ -171,7 +151,7 @@ class ArmKinematics:
         """Jacobians (M, 6, n) of the tool's point, [linear; angular] in world axes."""
         x = self._positions(q)
         J = np.empty((len(x), self.n, 6))
-        self.kernel.place(self.numbers, x, np.empty(12 * len(x)), J)
+        _core.place(self.numbers, x, np.empty(12 * len(x)), J)
         return J.transpose(0, 2, 1)
 
     def derivatives(self, q: ArrayLike, twists: Array, slopes: Array) -> tuple[Array, Array]:
@@ -187,13 +167,12 @@ class ArmKinematics:
         x = self._positions(q)
         V, dV = (np.ascontiguousarray(np.broadcast_to(v, (len(x), 6)), dtype=float) for v in (twists, slopes))
         first, second = np.empty_like(x), np.empty_like(x)
-        kernel = self.kernel if self.n >= 6 else batch_plain
-        kernel.derivatives(self.numbers, x, V, dV, first, second)
+        _core.derivatives(self.numbers, x, V, dV, first, second)
         return first, second
 
     def singular_values(self, q: ArrayLike) -> Array:
         """Singular values of the tool's Jacobian, descending (M, min(6, n)), in metres and radians."""
-        return singular_values(self.jacobians(q).transpose(0, 2, 1), kernel=self.kernel)
+        return singular_values(self.jacobians(q).transpose(0, 2, 1))
 
     def margins(self, q: Array) -> Array:
         """Distance of positions (…, n) to the nearer limit [rad or m]: negative outside, inf without limits."""
@@ -235,7 +214,7 @@ class ArmKinematics:
         q = self._positions(q_start)
         numbers = self._poses(poses, len(q))
         residual = np.empty(len(q))
-        self.kernel.solve(self.numbers, numbers, q, residual, tolerance, steps, longest, _DAMPING)
+        _core.solve(self.numbers, numbers, q, residual, tolerance, steps, longest, _DAMPING)
         return q, residual
 
     def walk(self, poses: ArrayLike, q_start: ArrayLike, *, tolerance: float = REACHED) -> Walks:
@@ -256,7 +235,7 @@ class ArmKinematics:
         q = np.empty((len(starts), len(numbers), self.n))
         q[:, 0] = starts
         reached = np.zeros(len(starts))
-        self.kernel.walk(self.numbers, numbers, q, reached, tolerance, _WALKING_STEP, _HALVINGS)
+        _core.walk(self.numbers, numbers, q, reached, tolerance, _WALKING_STEP, _HALVINGS)
         return q, reached.astype(np.intp)
 
     def nearest_turns(self, q: Array) -> Array:

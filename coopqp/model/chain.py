@@ -18,11 +18,10 @@ import numpy.typing as npt
 import pinocchio as pin
 
 from coopqp.checks import read_only
-from coopqp.model.batch_plain import jacobian_slopes
 from coopqp.model.cell import RobotCell, of_cell
 from coopqp.model.grasp import Grasp
 from coopqp.native.constants import ADMITTED, FAR_EDGE, LARGE_INVERSE, SINGULAR_FLOOR
-from coopqp.spatial import Array, twist_at
+from coopqp.spatial import Array, cross, twist_at
 
 
 class Chain:
@@ -269,8 +268,17 @@ class Chain:
 
 
 def jacobian_slope(J: Array, v: Array) -> Array:
-    """``J′ = Σ_i v_i ∂_i J`` of one arm (6, n), from J (6, n) about a point that moves with its tool, and v (n,)."""
-    return jacobian_slopes(J.T[None], v[None])[0].T
+    """``J′ = Σ_i v_i ∂_i J`` of one arm (6, n), from J (6, n) about a point that moves with its tool, and v (n,).
+
+    The derivative of a serial arm's Jacobian is a Lie bracket of its columns: joint i turns all that comes after it,
+    ``∂_i (v_j, ω_j) = (ω_i × v_j, ω_i × ω_j)`` for i ≤ j, and moves the tool's point under the joints before it,
+    ``∂_i v_j = ω_j × v_i`` for i > j. Sums over i become running sums over the arm.
+    """
+    linear, angular = J[:3].T, J[3:].T
+    turned = (angular * v[:, None]).cumsum(axis=0)  # by the joints up to j
+    moved = linear * v[:, None]
+    beyond = moved[::-1].cumsum(axis=0)[::-1] - moved  # by the joints after j
+    return np.vstack([(cross(turned, linear) + cross(angular, beyond)).T, cross(turned, angular).T])
 
 
 def _inverse(J: Array, unit: Array) -> Array:

@@ -2,14 +2,14 @@
  *
  * An arm is 14 numbers per joint and 12 for its tool: rotation (9, row major) and origin (3) of the joint in the frame of
  * the one before, both with the z axis along the joint's axis; 1 if it slides; its weight. The tool is R (9), p (3) in
- * the last joint. Jacobians (6, joints) are [linear; angular] of the tool's point in world axes. batch_plain.py says the
- * same in NumPy. */
+ * the last joint. Jacobians (6, joints) are [linear; angular] of the tool's point in world axes. */
 
 #ifndef COOPQP_ARM_H
 #define COOPQP_ARM_H
 
 #include <string.h>
 
+#include <Eigen/QR>
 #include <utility>
 
 #include "frames.h"
@@ -181,19 +181,38 @@ private:
     int order[6];
 };
 
-/* q′ and q″ of an arm of six joints or more, for the tool's twist V and its slope: see batch_plain.py. */
+/* x of least norm that brings J x closest to V, of an arm with fewer than six joints. */
+class LeastSquares {
+public:
+    explicit LeastSquares(const ArmColumns &J) : factors(Few(J)) {}
+    void solve(const Vector6 &V, double *x) const { OfJoints(x, factors.cols()) = factors.solve(V); }
+
+private:
+    using Few = Eigen::Matrix<double, 6, Eigen::Dynamic, 0, 6, 5>;
+    const Eigen::CompleteOrthogonalDecomposition<Few> factors;
+};
+
+/* q′ = J⁺ V and q″ = J⁺ (V′ − J′ q′), given J⁺. */
+template <class Inverse>
+static void follow(const Inverse &inverse, const ArmColumns &J, const Vector6 &V, const Vector6 &dV, double *slope,
+                   double *curvature) {
+    inverse.solve(V, slope);
+    const ArmColumns slopes = jacobian_slopes(J, slope);
+    Vector6 rest = dV;
+    for (int j = 0; j < J.cols(); j++) rest -= slope[j] * slopes.col(j);
+    inverse.solve(rest, curvature);
+}
+
+/* Derivatives q′ and q″ of the joints, for the tool's twist V per unit of s and its slope V′. The tool follows
+ * J(q) q′ = V(s), so q′ = J⁺ V and q″ = J⁺ (V′ − J′ q′) with J⁺ = J⁻¹ of six joints, of fewer least squares. Of more
+ * q′ = W² Jᵀ y with J W² Jᵀ y = V and the weights W, so q″ = W² (J′ᵀ y + Jᵀ y′) with
+ * J W² Jᵀ y′ = V′ − J′ q′ − J W² J′ᵀ y. */
 static void derivatives(const Arm &a, const double *q, const Vector6 &V, const Vector6 &dV, double *slope, double *curvature) {
     ArmColumns J;
     Vector6 rest = dV;
     place(a, q, J);
-    if (a.joints == 6) {
-        const Elimination factors(J);
-        factors.solve(V, slope);
-        const ArmColumns slopes = jacobian_slopes(J, slope);
-        for (int j = 0; j < 6; j++) rest -= slope[j] * slopes.col(j);
-        factors.solve(rest, curvature);
-        return;
-    }
+    if (a.joints < 6) return follow(LeastSquares(J), J, V, dV, slope, curvature);
+    if (a.joints == 6) return follow(Elimination(J), J, V, dV, slope, curvature);
     Factors G;
     double turn[MOST_JOINTS];
     if (!G.of(a, J, 0.0)) {

@@ -1,6 +1,5 @@
 /* Kinematics of one arm at many configurations, for Python: tool poses, Newton's method, walks along poses, derivatives
- * along a way; singular values of many matrices (values.cpp). See arm.h for the layout of the numbers; batch_plain.py
- * says the same in NumPy. */
+ * along a way; singular values of many matrices (values.cpp). See arm.h for the layout of the numbers. */
 
 #include "arm.h"
 #include "arrays.h"
@@ -50,7 +49,7 @@ static void derivatives_all(const In &arm, const In &q, const In &twists, const 
     const Arm a = arm_of(arm);
     using Six = Eigen::Map<const Vector6>;
     const Py_ssize_t count = twists.size / 6, n = a.joints;
-    check_fit(n >= 6 && twists.size == 6 * count && twist_slopes.size == twists.size && q.size == n * count &&
+    check_fit(twists.size == 6 * count && twist_slopes.size == twists.size && q.size == n * count &&
               slopes.size == q.size && curvatures.size == q.size);
     nb::gil_scoped_release released;
     for (Py_ssize_t i = 0, j = 0; i < count; i++, j += n)

@@ -1,4 +1,4 @@
-/* The rate of the one clock of all robots: drivers/limited_clock.py says the same in NumPy. */
+/* The rate of the one clock of all robots. See drivers/limited_clock.py. */
 
 #include <algorithm>
 #include <cmath>

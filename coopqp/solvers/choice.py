@@ -10,7 +10,7 @@ from coopqp.errors import InvalidInputError, MissingExtraError, MissingSolverErr
 from coopqp.solvers.base import QpSolver
 
 #: Kept solvers: the name, which is also its module's here, and the module that it needs.
-_KEPT = {"proxqp": "proxsuite", "osqp": "osqp", "daqp": "daqp", "ldp": "coopqp.native._core"}
+_KEPT = {"proxqp": "proxsuite", "osqp": "osqp", "daqp": "daqp", "ldp": "coopqp.native"}
 _GENERIC = "qpsolvers:"
 
 
@@ -25,12 +25,12 @@ _OF_OUR_EXTRA = ("quadprog",)
 
 
 def default_solver(*, strictly_convex: bool = True) -> str:
-    """The solver that ``"auto"`` stands for: the compiled core's own, or DAQP where that is missing.
+    """The solver that ``"auto"`` stands for: the core's own, or DAQP.
 
     Args:
         strictly_convex: H is positive definite; the core's own solver needs that.
     """
-    return "ldp" if strictly_convex and find_spec(_KEPT["ldp"]) is not None else "daqp"
+    return "ldp" if strictly_convex else "daqp"
 
 
 def make_solver(name: str | QpSolver, settings: Any = None) -> QpSolver:
@@ -77,7 +77,7 @@ def make_solver(name: str | QpSolver, settings: Any = None) -> QpSolver:
 
 
 def _make_kept(name: str, settings: Any) -> QpSolver:
-    if name != "ldp" and find_spec(_KEPT[name]) is None:  # ldp has a remedy of its own
+    if find_spec(_KEPT[name]) is None:
         raise MissingExtraError("solvers", _KEPT[name])
     module = import_module(f"coopqp.solvers.{name}")
     return getattr(module, f"{name.capitalize()}Solver")(settings)

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from coopqp.checks import as_options
-from coopqp.errors import MissingSolverError
+from coopqp.native import _core
 from coopqp.native.constants import LARGEST_X
 from coopqp.solvers.base import Outcome, QpSolver, SolverSettings, Workspace
 from coopqp.solvers.polish import finish
@@ -39,16 +39,10 @@ class _Memory:
     __slots__ = ("A", "_program", "high", "lb", "low", "ub", "x", "y")
 
     def __init__(self, n: int, m: int) -> None:
-        try:
-            from coopqp.native._core import LeastDistance
-        except ImportError as error:
-            raise MissingSolverError(
-                "ldp", "install a wheel of coopqp, or a C++ compiler before you build it"
-            ) from error
         self.A, self.low, self.high = np.zeros((m, n)), np.full(m, -np.inf), np.full(m, np.inf)
         self.lb, self.ub, self.x, self.y = np.full(n, -np.inf), np.full(n, np.inf), np.zeros(n), np.zeros(m + n)
         work = np.zeros(2 * n * (n + 3))
-        self._program = LeastDistance(self.A, self.low, self.high, self.lb, self.ub, self.x, self.y, work)
+        self._program = _core.LeastDistance(self.A, self.low, self.high, self.lb, self.ub, self.x, self.y, work)
 
     def solve(self, reach: float) -> int:
         """Fill x and y; returns the iterations, or the code of a failure."""
@@ -67,7 +61,6 @@ class LdpSolver(QpSolver):
 
     def __init__(self, settings: LdpSettings | None = None) -> None:
         self.settings: LdpSettings = as_options(LdpSettings, settings, f"solver '{self.name}': settings")
-        _Memory(1, 0)  # raises MissingSolverError where the core is not compiled
         self._forget()
 
     def _forget(self) -> None:

@@ -366,10 +366,9 @@ def _has(instructions: str) -> bool:
 
 
 def versions() -> dict[str, str]:
-    """The bits of a row depend on these: versions, the kernel, the solver."""
+    """The bits of a row depend on these: versions, the solver, the processor."""
     import platform
 
-    from coopqp.native import kernel_text
     from coopqp.solvers.choice import default_solver
 
     packages = {
@@ -378,7 +377,6 @@ def versions() -> dict[str, str]:
     return {
         "python": platform.python_version(),
         **packages,
-        "kernel": kernel_text(),
         "solver": str(default_solver()),
         "processor": f"{platform.machine()} {' '.join(name for name in _SIMD if _has(name))}".strip(),
     }

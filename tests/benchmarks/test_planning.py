@@ -23,7 +23,7 @@ def test_every_case_is_recorded(tmp_path: Path, monkeypatch: pytest.MonkeyPatch)
     verdicts = {r["verdict"].partition(",")[0] for r in others}
     assert verdicts == {"all reached", "found", "finished", "planned"}, "every pose, every start, every end is reached"
     paths = {"planned", "reactive linear", "reactive quintic"}
-    assert {r["method"] for r in others} == {"kept chain", "find_start", *paths, *planning.batch_kernels()}
+    assert {r["method"] for r in others} == {"kept chain", "find_start", *paths, "core"}
     (mine,) = (r for r in records if r["case"].startswith("path") and r["method"] == "planned")
     assert mine["tracking_share"] == 1.0
     assert mine["ratio"] <= 1.03

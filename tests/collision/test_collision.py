@@ -22,7 +22,6 @@ from places import BAR
 from runs import built
 from user_paths import Opaque
 
-import coopqp.collision.bounds_plain as bounds_plain
 from coopqp import (
     Cause,
     Clearance,
@@ -39,14 +38,14 @@ from coopqp import (
     simulate,
 )
 from coopqp.collision import Body, Box, Capsule, Cylinder, Hull, Mesh, PairRules, Sphere
-from coopqp.collision.distances import KERNEL, Distances, LowerBounds
+from coopqp.collision.distances import Distances, LowerBounds
 from coopqp.collision.evasion import Evasion
 from coopqp.constraints.velocity import MOST_ROWS, ConstraintTrouble
 from coopqp.errors import MissingExtraError, UnknownNameError
 from coopqp.files import CellFileError
 from coopqp.model import CellState
 from coopqp.model.chain import Chain
-from coopqp.native import available_kernels, compiled
+from coopqp.native import _core, available_kernels
 from coopqp.native.constants import YIELDS
 from coopqp.planning import PathVerdict
 from coopqp.scenarios import (
@@ -199,10 +198,7 @@ def test_bounds_that_follow_the_joints_stay_below_the_distances(lift: Scenario) 
 @pytest.mark.core
 @settings(deadline=None, max_examples=40)
 @given(seed=st.integers(0, 10**6))
-def test_bounds_in_c_are_those_in_numpy(seed: int) -> None:
-    kernel = compiled()
-    if kernel is None:
-        pytest.skip("there is no compiler here")
+def test_the_cores_bounds_are_those_in_numpy(seed: int) -> None:
     rng = np.random.default_rng(seed)
     pairs, nv = int(rng.integers(1, 40)), int(rng.integers(1, 15))
     reach, kinds = rng.uniform(0.0, 2.0, (nv, pairs)), rng.integers(-1, 2, (pairs, nv)).astype(float)
@@ -210,21 +206,31 @@ def test_bounds_in_c_are_those_in_numpy(seed: int) -> None:
     rooms[rng.uniform(size=pairs) < 0.1] = -1e3
     some = [int(k) for k in rng.choice(pairs, size=min(pairs, 4), replace=False)]
     ends, J, most = rng.normal(size=(len(some), 6)), rng.normal(size=(nv, 6)), rng.uniform(0.0, 3.0, nv)
-    found = []
-    for one in (kernel, bounds_plain):
-        own, at = rooms.copy(), np.zeros(nv)
-        one.follow(own, reach, at, 1e-2 * x, np.zeros(nv))
-        one.follow(own, reach, at, x, turns)
-        shares, weights, G, lower = np.zeros(pairs), np.zeros(nv), np.zeros((len(some), nv)), np.zeros(len(some))
-        own[some] = np.abs(rooms[some])
-        known = [one.certify(own - least, reach, 0.01, shares, weights) for least in (0.0, own.min() - 0.02)]
-        one.rows(ends, J, kinds, own, some, 5.0, G, lower)
-        said = one.near(own, np.full(pairs, 0.1)), one.soonest(own, reach.sum(axis=0), 1e-9), known
-        found.append((*said, one.binding(G, lower, most), np.concatenate([own, at, weights, G.ravel(), lower])))
-    assert found[0][:-1] == found[1][:-1]
-    # certify divides by a clearance of 0.02 less 0.01, itself a difference of clearances as large as the least one
-    rounding = 2.0 * np.finfo(float).eps * np.abs(found[1][-1][:pairs]).max() / 0.01
-    np.testing.assert_allclose(found[0][-1], found[1][-1], rtol=1e-12 + rounding, atol=1e-14)
+    # The joints move; each clearance loses the most that their way can take, the shorter way of those without ends.
+    own, at = rooms.copy(), np.zeros(nv)
+    _core.follow(own, reach, at, 1e-2 * x, np.zeros(nv))
+    way = np.abs(x - 1e-2 * x)
+    way = np.where(turns > 0.0, np.minimum(way, np.abs(2.0 * np.pi - way)), way)
+    _core.follow(own, reach, at, x, turns)
+    np.testing.assert_array_equal(at, x)
+    np.testing.assert_allclose(own, rooms - np.abs(1e-2 * x) @ reach - way @ reach, rtol=1e-12, atol=1e-14)
+    # The largest share of a clearance that a joint's motion takes; none where a clearance is used up.
+    own[some] = np.abs(rooms[some])
+    shares, weights, wide = np.zeros(pairs), np.ones(nv), own - own.min() + 0.02
+    used_up = not (own > 0.01).all()
+    assert _core.certify(own, reach, 0.01, shares, weights) == (not used_up)
+    np.testing.assert_allclose(weights, 0.0 if used_up else (reach / (own - 0.01)).max(axis=1), rtol=1e-12)
+    assert _core.certify(wide, reach, 0.01, shares, weights)
+    np.testing.assert_allclose(weights, (reach / (wide - 0.01)).max(axis=1), rtol=1e-12)
+    # ḋ = G v ≥ −ξ d of pairs with normals n at points p, and the rows that joints can break.
+    G, lower, (n, p) = np.zeros((len(some), nv)), np.zeros(len(some)), (ends[:, :3], ends[:, 3:])
+    _core.rows(ends, J, kinds, own, some, 5.0, G, lower)
+    np.testing.assert_allclose(G, (np.hstack([n, np.cross(p, n)]) @ J.T) * kinds[some], rtol=1e-12, atol=1e-14)
+    np.testing.assert_allclose(lower, -5.0 * np.maximum(own[some], 0.0), rtol=1e-14)
+    assert _core.binding(G, lower, most) == np.flatnonzero(np.abs(G) @ most > -lower).tolist()
+    assert _core.near(own, np.full(pairs, 0.1)) == np.flatnonzero(own < 0.1).tolist()
+    takes = reach.sum(axis=0)
+    assert _core.soonest(own, takes, 1e-9) == int((takes / np.maximum(own, 1e-9)).argmax())
 
 
 # -- rows over the memory of a compiled step ---------------------------------------------------------------------------
@@ -259,7 +265,6 @@ def test_a_scene_without_pairs_slows_nothing_down(kernel: str) -> None:
         np.testing.assert_array_equal(beside.step().velocity, alone.step().velocity)
 
 
-@pytest.mark.skipif(len(KERNELS) < 2, reason="there is no compiler here")
 @pytest.mark.parametrize("scenario", [plate_and_post(), forearms()], ids=["six", "seven"])
 def test_rows_in_memory_are_those_of_the_definition(scenario: Scenario) -> None:
     scene, cell, rng = CollisionScene.of(scenario, margin=0.01), scenario.cell, np.random.default_rng(3)
@@ -308,7 +313,6 @@ def test_rows_in_memory_are_those_of_the_definition(scenario: Scenario) -> None:
 
 
 @pytest.mark.core
-@pytest.mark.skipif(len(KERNELS) < 2, reason="there is no compiler here")
 def test_the_core_bounds_distances_from_below_and_closely(lift: Scenario) -> None:
     """Shapes of every kind, placed at random, against coal: also after searches that began elsewhere."""
     rng, cell = np.random.default_rng(5), lift.cell
@@ -337,7 +341,6 @@ def test_the_core_bounds_distances_from_below_and_closely(lift: Scenario) -> Non
 
 
 @pytest.mark.core
-@pytest.mark.skipif(len(KERNELS) < 2, reason="there is no compiler here")
 def test_rows_in_memory_refuse_what_does_not_fit(lift: Scenario) -> None:
     clearance, memory = Clearance(scene_of(lift, margin=0.0)), rows_memory(lift.cell.nv, 4)
     for name in memory:
@@ -352,30 +355,28 @@ def test_rows_in_memory_refuse_what_does_not_fit(lift: Scenario) -> None:
 
 
 @pytest.mark.core
-@pytest.mark.skipif(len(KERNELS) < 2, reason="there is no compiler here")
 @pytest.mark.parametrize("name", ["q_index", "continuous", "questions", "points"])
 def test_rows_in_memory_refuse_what_does_not_fit_what_coal_is_asked(
     name: str, lift: Scenario, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    build: Any = KERNEL.Nearby
+    build: Any = _core.Nearby
 
     def one_more(arrays: Any, settings: Any, coal: Any, shapes: Any) -> Any:
         given = coal[name]
         longer = [*given, given[-1]]
         return build(arrays, settings, {**coal, name: longer if isinstance(given, list) else np.array(longer)}, shapes)
 
-    monkeypatch.setattr(KERNEL, "Nearby", one_more)
+    monkeypatch.setattr(_core, "Nearby", one_more)
     with pytest.raises(ValueError, match="fit together"):
         Clearance(scene_of(lift, margin=0.0)).in_memory(rows_memory(lift.cell.nv, 4))
 
 
 @pytest.mark.core
-@pytest.mark.skipif(len(KERNELS) < 2, reason="there is no compiler here")
 @pytest.mark.parametrize(("corners", "hulls"), [(4, False), (4, True), (0, True)])
 def test_shapes_whose_corners_are_no_points_are_refused(
     corners: int, hulls: bool, lift: Scenario, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    build: Any = KERNEL.Nearby
+    build: Any = _core.Nearby
 
     def other(arrays: Any, settings: Any, coal: Any, shapes: Any) -> Any:
         some = [np.ones(corners) if (own.size > 0) == hulls else own for own in shapes["corners"]]
@@ -384,13 +385,12 @@ def test_shapes_whose_corners_are_no_points_are_refused(
     hull = Body("stone", Hull(0.1 * np.random.default_rng(5).normal(size=(12, 3))))
     clearance = Clearance(scene_of(lift, margin=0.0, obstacles=[hull]))
     assert clearance.in_memory(rows_memory(lift.cell.nv, 4)) is not None
-    monkeypatch.setattr(KERNEL, "Nearby", other)
+    monkeypatch.setattr(_core, "Nearby", other)
     with pytest.raises(ValueError, match="fit together"):
         clearance.in_memory(rows_memory(lift.cell.nv, 4))
 
 
 @pytest.mark.core
-@pytest.mark.skipif(len(KERNELS) < 2, reason="there is no compiler here")
 @pytest.mark.parametrize("longest", [0.1, 1.0])
 def test_rows_in_memory_stop_the_object_at_the_knots_where_the_definition_does(longest: float) -> None:
     """On ways of any length to a knot: bodies are met at its ends, or passed in between."""
@@ -412,7 +412,6 @@ def test_rows_in_memory_stop_the_object_at_the_knots_where_the_definition_does(l
 
 
 @pytest.mark.core
-@pytest.mark.skipif(len(KERNELS) < 2, reason="there is no compiler here")
 def test_arms_evade_in_memory_as_by_the_definition_whenever_distances_were_asked() -> None:
     """To the last bit where they were asked in pieces before; the definition has the normals of coal, less sharp."""
     scenario, rng, evading = forearms(), np.random.default_rng(7), 0
@@ -441,7 +440,6 @@ def test_arms_evade_in_memory_as_by_the_definition_whenever_distances_were_asked
 
 
 @pytest.mark.core
-@pytest.mark.skipif(len(KERNELS) < 2, reason="there is no compiler here")
 def test_only_knots_that_exist_stop_the_object(lift: Scenario) -> None:
     nearby: Any = Clearance(scene_of(lift, margin=0.0)).in_memory(rows_memory(lift.cell.nv, 4), ahead=True)
     nearby.stopping(0)
@@ -451,16 +449,14 @@ def test_only_knots_that_exist_stop_the_object(lift: Scenario) -> None:
 
 
 @pytest.mark.core
-@pytest.mark.skipif(len(KERNELS) < 2, reason="there is no compiler here")
 def test_rows_in_memory_that_were_not_built_say_so() -> None:
-    unbuilt = KERNEL.Nearby.__new__(KERNEL.Nearby)
+    unbuilt = _core.Nearby.__new__(_core.Nearby)
     for ask in (unbuilt.tightened, lambda: unbuilt.rows(True)):
         with pytest.raises(TypeError), pytest.warns(RuntimeWarning, match="uninitialized"):
             ask()
 
 
 @pytest.mark.core
-@pytest.mark.skipif(len(KERNELS) < 2, reason="there is no compiler here")
 def test_rows_are_in_memory_only_where_coal_and_pinocchio_share_theirs(lift: Scenario) -> None:
     clearance, memory = Clearance(scene_of(lift, margin=0.0)), rows_memory(lift.cell.nv, 4)
     eigenpy.sharedMemory(False)
@@ -472,7 +468,6 @@ def test_rows_are_in_memory_only_where_coal_and_pinocchio_share_theirs(lift: Sce
 
 
 @pytest.mark.core
-@pytest.mark.skipif(len(KERNELS) < 2, reason="there is no compiler here")
 def test_where_rows_in_memory_fail_the_definition_goes_on_and_interrupts_are_raised() -> None:
     scenario = plate_and_post()
     own, failing = (
@@ -507,7 +502,6 @@ def test_where_rows_in_memory_fail_the_definition_goes_on_and_interrupts_are_rai
 
 
 @pytest.mark.core
-@pytest.mark.skipif(len(KERNELS) < 2, reason="there is no compiler here")
 def test_a_command_is_shown_to_be_clear_without_asking_for_all_that_is_near() -> None:
     """Commands of growing size: clear is said only where rows, asked for after it, are kept by the command."""
     scenario = plate_and_post()
@@ -1251,7 +1245,6 @@ def posts_around(lift: Scenario, count: int) -> list[Body]:
 
 
 @pytest.mark.core
-@pytest.mark.skipif(len(KERNELS) < 2, reason="there is no compiler here")
 def test_a_step_asks_for_few_distances(monkeypatch: pytest.MonkeyPatch) -> None:
     lift, asked, per_step = paper_lift(time_law="quintic"), [0], []
     ask = pin.computeDistance

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 from hypothesis import given, settings, strategies as st
 
-from coopqp.drivers import limited_clock
 from coopqp.drivers.command_spline import CommandSpline
 from coopqp.drivers.limited_clock import LimitedClock
 from coopqp.drivers.play_out import PlayOut
+from coopqp.native import _core
 
 _JOINTS, _PERIOD, _ROUNDING = 4, 0.002, 1e-9
 
@@ -72,20 +72,36 @@ def test_the_clock_the_mixtures_and_what_is_sent_keep_the_limits_at_hostile_rate
 
 
 @pytest.mark.core
-@pytest.mark.skipif(limited_clock.compiled() is None, reason="there is no compiled core")
 @pytest.mark.parametrize("seed", range(3))
-def test_the_compiled_clock_is_that_of_its_definition(seed, monkeypatch):
-    points = _drive(seed, 0.05, size=64)[0]
-    monkeypatch.setattr(limited_clock, "_COMPILED", None)
+def test_the_rate_is_the_nearest_of_those_tried_that_keeps_the_limits(seed, monkeypatch):
+    """Of 32 between the wanted rate and the last one, then of 32 between the nearest of them and the next."""
+    points, clocks = _drive(seed, 0.05, size=64)[0], []
+
+    def nearest(clock, wanted):
+        clocks.append(clock)
+        rates = [wanted]
+        for _ in range(3):
+            steps = clock._spline.values(clock.sigma + np.array(rates) * _PERIOD) - clock.point
+            changes = steps - (clock.point - clock._before)
+            kept = ((np.abs(steps) <= clock._most) & (np.abs(changes) <= clock._most_change)).all(axis=1)
+            kept[-1] |= len(rates) > 1  # the last rate, or one that was found to be allowed
+            best = int(kept.argmax())
+            if len(rates) == 1 and kept[0]:
+                return wanted
+            high, low = (rates[max(best - 1, 0)], rates[best]) if len(rates) > 1 else (wanted, clock.rate)
+            rates = low + np.linspace(1.0, 0.0, 33) * (high - low)
+        return float(low)
+
+    monkeypatch.setattr(LimitedClock, "_limited", nearest)
     np.testing.assert_allclose(points, _drive(seed, 0.05, size=64)[0], rtol=0.0, atol=1e-12)
+    assert len(clocks) > 300
 
 
 @pytest.mark.core
-@pytest.mark.skipif(limited_clock.compiled() is None, reason="there is no compiled core")
-def test_the_compiled_clock_tests_its_numbers():
+def test_the_clock_in_the_core_tests_its_numbers():
     n, rows = 3, 8
     good = [np.zeros((rows, n + 1)), 5, 0.002, *np.zeros((4, n)), 0.0, 0.002, 1.0, 0.5]
-    rate = limited_clock.compiled().limited_rate
+    rate = _core.limited_rate
     assert rate(*good) == 1.0
     assert rate(*good[:7], np.nan, *good[8:]) == 0.5  # no place on the curve; the last rate always keeps the limits
     for i, bad in ((0, np.zeros((rows, n))), (1, 2), (3, np.zeros(n + 1)), (6, np.zeros(n - 1))):

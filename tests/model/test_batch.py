@@ -1,7 +1,8 @@
-"""Batch kinematics of one arm: Pinocchio is the reference; the compiled and the NumPy kernel give the same answers."""
+"""Batch kinematics of one arm: Pinocchio is the reference, and NumPy for what is made of poses and Jacobians."""
 
 from __future__ import annotations
 
+import itertools
 from typing import Any
 
 import numpy as np
@@ -9,23 +10,21 @@ import pinocchio as pin
 import pytest
 from hypothesis import given, strategies as st
 
-import coopqp.model.batch
 from coopqp import Arm, InvalidInputError, RobotCell, scenarios
-from coopqp.errors import ModelError, UnknownNameError
+from coopqp.errors import ModelError
 from coopqp.model.batch import (
     ArmKinematics,
     BatchSolutions,
-    batch_kernels,
     pose_matrices,
     pose_rows,
     singular_values,
 )
+from coopqp.native import _core
 from coopqp.scenarios import robot_path
 
 pytestmark = pytest.mark.core
 
 ROBOTS = ("rx90l", "arm7", "gantry7", "scara4", "arm5", "arm6c")
-KERNELS = batch_kernels()
 
 
 def arm_of(robot: str, seed: int = 0) -> Arm:
@@ -35,8 +34,7 @@ def arm_of(robot: str, seed: int = 0) -> Arm:
 
 
 ARMS = {robot: arm_of(robot) for robot in ROBOTS}
-KINEMATICS = {(robot, kernel): ArmKinematics(ARMS[robot], kernel=kernel) for robot in ROBOTS for kernel in KERNELS}
-CASES = [pytest.param(robot, kernel, id=f"{robot}-{kernel}") for robot in ROBOTS for kernel in KERNELS]
+KINEMATICS = {robot: ArmKinematics(ARMS[robot]) for robot in ROBOTS}
 
 
 def pinocchio_says(arm: Arm, x: Any) -> tuple[Any, Any]:
@@ -49,9 +47,9 @@ def pinocchio_says(arm: Arm, x: Any) -> tuple[Any, Any]:
     return data.oMf[cell.tool_frames[0]].homogeneous, np.array(J)
 
 
-@pytest.mark.parametrize(("robot", "kernel"), CASES)
-def test_poses_jacobians_and_singular_values_are_those_of_pinocchio(robot: str, kernel: str, rng: Any) -> None:
-    kinematics = KINEMATICS[robot, kernel]
+@pytest.mark.parametrize("robot", ROBOTS)
+def test_poses_jacobians_and_singular_values_are_those_of_pinocchio(robot: str, rng: Any) -> None:
+    kinematics = KINEMATICS[robot]
     q = kinematics.seeds(20, rng)
     T, J, s = kinematics.tool_poses(q), kinematics.jacobians(q), kinematics.singular_values(q)
     for i, x in enumerate(q):
@@ -61,24 +59,22 @@ def test_poses_jacobians_and_singular_values_are_those_of_pinocchio(robot: str, 
         np.testing.assert_allclose(s[i], np.linalg.svd(jacobian, compute_uv=False), rtol=1e-12, atol=1e-13)
 
 
-@pytest.mark.parametrize("kernel", KERNELS)
 @pytest.mark.parametrize("shape", [(1, 1), (6, 1), (2, 5), (6, 6), (5, 64), (64, 6), (70, 6)])
-def test_singular_values_of_any_matrices(kernel: str, shape: tuple[int, int], rng: Any) -> None:
+def test_singular_values_of_any_matrices(shape: tuple[int, int], rng: Any) -> None:
     A = rng.normal(size=(9, *shape))
     A[3] = 0.0
     A[5, :, -1] *= 1e-9
-    found = singular_values(A, kernel=KINEMATICS["rx90l", kernel].kernel)
+    found = singular_values(A)
     np.testing.assert_allclose(found, np.linalg.svd(A, compute_uv=False), rtol=1e-12, atol=1e-13)
 
 
 @pytest.mark.parametrize("robot", ROBOTS)
 def test_singular_values_do_not_depend_on_what_else_is_asked(robot: str, rng: Any) -> None:
-    for kernel in KERNELS:
-        kinematics = KINEMATICS[robot, kernel]
-        q = kinematics.seeds(21, rng)
-        q[7] = 0.0  # singular
-        alone = np.concatenate([kinematics.singular_values(x[None]) for x in q])
-        np.testing.assert_array_equal(kinematics.singular_values(q), alone)
+    kinematics = KINEMATICS[robot]
+    q = kinematics.seeds(21, rng)
+    q[7] = 0.0  # singular
+    alone = np.concatenate([kinematics.singular_values(x[None]) for x in q])
+    np.testing.assert_array_equal(kinematics.singular_values(q), alone)
 
 
 def test_joints_are_those_of_the_model_with_their_ranges_and_speeds() -> None:
@@ -93,11 +89,11 @@ def test_joints_are_those_of_the_model_with_their_ranges_and_speeds() -> None:
     np.testing.assert_array_equal(kinematics.middle, middle)
     np.testing.assert_array_equal(kinematics.scale, [1.0, 1.0, 2.0, 0.5, 1.0, 1.5, 4.0])
     assert kinematics.turns.all()
-    round_and_round = KINEMATICS["arm6c", KERNELS[0]]
+    round_and_round = KINEMATICS["arm6c"]
     np.testing.assert_array_equal(round_and_round.turns, [True] * 5 + [False])
     np.testing.assert_array_equal(round_and_round.bounded, [True] * 5 + [False])
     assert round_and_round.middle[5] == 0.0
-    gantry = KINEMATICS["gantry7", KERNELS[0]]
+    gantry = KINEMATICS["gantry7"]
     names = [joint.shortname() for joint in list(ARMS["gantry7"].model.joints)[1:]]
     np.testing.assert_array_equal(gantry.slides, [name.startswith("JointModelP") for name in names])
     np.testing.assert_array_equal(gantry.turns, ~gantry.slides)
@@ -107,7 +103,7 @@ def test_joints_are_those_of_the_model_with_their_ranges_and_speeds() -> None:
 @pytest.mark.parametrize("robot", ROBOTS)
 def test_the_nearest_turn_is_the_one_with_the_most_room(robot: str, rng: Any) -> None:
     """Against trying five turns either way; without limits the one nearest to zero. Sliding joints stay."""
-    kinematics = KINEMATICS[robot, KERNELS[0]]
+    kinematics = KINEMATICS[robot]
     q = rng.uniform(-15.0, 15.0, (30, kinematics.n))
     got = kinematics.nearest_turns(q)
     turned = q[..., None] + 2.0 * np.pi * np.arange(-5, 6)
@@ -124,7 +120,7 @@ def test_the_nearest_turn_is_the_one_with_the_most_room(robot: str, rng: Any) ->
 
 def test_positions_are_the_same_up_to_whole_turns_of_every_joint() -> None:
     """Of a gantry: what slides by 2π m, or is away in one joint of all, is somewhere else."""
-    kinematics = KINEMATICS["gantry7", KERNELS[0]]
+    kinematics = KINEMATICS["gantry7"]
     q = np.linspace(-0.3, 0.4, 7)
     turning, sliding = int(np.flatnonzero(~kinematics.slides)[0]), int(np.flatnonzero(kinematics.slides)[0])
     cases = []
@@ -143,7 +139,7 @@ def test_positions_are_the_same_up_to_whole_turns_of_every_joint() -> None:
 
 @pytest.mark.parametrize("robot", ROBOTS)
 def test_seeds_are_half_inside_the_limits_and_half_at_any_angle(robot: str, rng: Any) -> None:
-    kinematics = KINEMATICS[robot, KERNELS[0]]
+    kinematics = KINEMATICS[robot]
     q = kinematics.seeds(2000, rng)
     low, high = (
         np.where(kinematics.bounded, kinematics.lower, -np.pi),
@@ -159,10 +155,10 @@ def test_seeds_are_half_inside_the_limits_and_half_at_any_angle(robot: str, rng:
     assert kinematics.seeds(3, rng).shape == (3, kinematics.n)
 
 
-@pytest.mark.parametrize(("robot", "kernel"), CASES)
-def test_derivatives_are_those_of_a_way_of_the_joints(robot: str, kernel: str, rng: Any) -> None:
+@pytest.mark.parametrize("robot", ROBOTS)
+def test_derivatives_are_those_of_a_way_of_the_joints(robot: str, rng: Any) -> None:
     """The tool follows the way q + s u: q′ moves it so, and q″ is the change of q′; without freedom they are u, 0."""
-    kinematics, h = KINEMATICS[robot, kernel], 1e-6
+    kinematics, h = KINEMATICS[robot], 1e-6
     q, u = kinematics.seeds(20, rng), rng.uniform(-1.0, 1.0, (20, kinematics.n))
 
     def twists(s: float) -> Any:
@@ -184,9 +180,9 @@ def test_derivatives_are_those_of_a_way_of_the_joints(robot: str, kernel: str, r
     np.testing.assert_allclose(np.einsum("kj,kj->k", slope / kinematics.scale**2, null), 0.0, atol=1e-9)
 
 
-@pytest.mark.parametrize(("robot", "kernel"), CASES)
-def test_every_nearby_pose_is_reached(robot: str, kernel: str, rng: Any) -> None:
-    kinematics = KINEMATICS[robot, kernel]
+@pytest.mark.parametrize("robot", ROBOTS)
+def test_every_nearby_pose_is_reached(robot: str, rng: Any) -> None:
+    kinematics = KINEMATICS[robot]
     q = kinematics.seeds(300, rng)
     T = kinematics.tool_poses(q)
     answer = kinematics.solve(T, q + rng.uniform(-0.1, 0.1, q.shape))
@@ -196,10 +192,9 @@ def test_every_nearby_pose_is_reached(robot: str, kernel: str, rng: Any) -> None
     np.testing.assert_array_equal(answer.margins, kinematics.margins(answer.q))
 
 
-@pytest.mark.parametrize("kernel", KERNELS)
-def test_reached_is_said_of_poses_that_are_reached_and_of_no_others(kernel: str, rng: Any) -> None:
+def test_reached_is_said_of_poses_that_are_reached_and_of_no_others(rng: Any) -> None:
     """From any seed: a convergence that is claimed is checked against the poses themselves."""
-    kinematics = KINEMATICS["rx90l", kernel]
+    kinematics = KINEMATICS["rx90l"]
     T = kinematics.tool_poses(kinematics.seeds(400, rng))
     T[::4, :3, 3] += rng.uniform(-2.0, 2.0, (100, 3))  # a part of these is out of reach
     answer = kinematics.solve(T, kinematics.seeds(400, rng))
@@ -213,42 +208,100 @@ def test_reached_is_said_of_poses_that_are_reached_and_of_no_others(kernel: str,
 def test_half_a_turn_and_near_it_is_no_obstacle(seed: int) -> None:
     """Seeds whose tool is turned by exactly or almost π from the pose."""
     rng = np.random.default_rng(seed)
-    for kernel in KERNELS:
-        kinematics = KINEMATICS["rx90l", kernel]
-        q = kinematics.seeds(1, rng)
-        start = q.copy()
-        start[0, 5] += np.pi + rng.choice([0.0, 1e-12, -1e-9, 1e-3])
-        answer = kinematics.solve(kinematics.tool_poses(q), start)
-        assert np.isfinite(answer.q).all()
-        assert answer.reached.all() or answer.sigma_min[0] < 0.05
+    kinematics = KINEMATICS["rx90l"]
+    q = kinematics.seeds(1, rng)
+    start = q.copy()
+    start[0, 5] += np.pi + rng.choice([0.0, 1e-12, -1e-9, 1e-3])
+    answer = kinematics.solve(kinematics.tool_poses(q), start)
+    assert np.isfinite(answer.q).all()
+    assert answer.reached.all() or answer.sigma_min[0] < 0.05
 
 
-@pytest.mark.skipif(len(KERNELS) < 2, reason="one kernel")
+def newton(kinematics: ArmKinematics, T: Any, x: Any, *, steps: int, longest: float, damping: float) -> tuple[Any, Any]:
+    """Positions (n,) and largest error after damped Newton's steps: v = W² Jᵀ (J W² Jᵀ + (damping |e|² + …) 1)⁻¹ e."""
+    W = kinematics.scale**2 / kinematics.scale.max() ** 2 if kinematics.n > 6 else np.ones(kinematics.n)
+    for i in range(steps + 1):
+        at = kinematics.tool_poses(x[None])[0]
+        e = np.concatenate([T[:3, 3] - at[:3, 3], pin.log3(T[:3, :3] @ at[:3, :3].T)])
+        if i == steps or np.abs(e).max() <= 1e-9:
+            break
+        J = kinematics.jacobians(x[None])[0]
+        G = J * W @ J.T
+        v = W * (J.T @ np.linalg.solve(G + (damping * e @ e + 1e-15 * np.trace(G)) * np.eye(6), e))
+        x = x + min(1.0, longest / np.abs(v).max()) * v
+    return x, np.abs(e).max()
+
+
 @pytest.mark.parametrize("robot", ROBOTS)
-def test_both_kernels_agree(robot: str, rng: Any) -> None:
-    """In lockstep: the same steps from the same starts, and the same walks."""
-    one, other = (KINEMATICS[robot, kernel] for kernel in KERNELS)
-    q = one.seeds(100, rng)
-    T, start = one.tool_poses(q), one.seeds(100, rng)
+def test_steps_are_those_of_a_damped_newton_method(robot: str, rng: Any) -> None:
+    """With the weights of a redundant arm's joints, damped by 1e-2 of the error's square, at most 1 rad or m long."""
+    kinematics = KINEMATICS[robot]
+    T, start = kinematics.tool_poses(kinematics.seeds(60, rng)), kinematics.seeds(60, rng)
     for steps in (0, 1, 2, 3):
-        a, b = one.solve(T, start, steps=steps), other.solve(T, start, steps=steps)
-        np.testing.assert_allclose(a.q, b.q, rtol=0, atol=1e-6)
-        np.testing.assert_allclose(a.residual, b.residual, rtol=1e-6, atol=1e-9)
-    V, dV = rng.uniform(-1.0, 1.0, (2, 100, 6))
-    for mine, others in zip(one.derivatives(q, V, dV), other.derivatives(q, V, dV), strict=True):
-        np.testing.assert_allclose(mine, others, rtol=1e-6, atol=1e-6 * np.abs(others).max())
-    way = one.tool_poses(q[0] + np.linspace(0.0, 0.4, 9)[:, None] * rng.uniform(-1.0, 1.0, one.n))
-    starts = one.solve(way[:1], one.seeds(20, rng))
-    starts_q = starts.q[starts.reached]
-    a_walk, b_walk = one.walk(way, starts_q), other.walk(way, starts_q)
-    np.testing.assert_array_equal(a_walk.reached, b_walk.reached)
-    np.testing.assert_allclose(a_walk.q, b_walk.q, rtol=0, atol=1e-6)
+        found = kinematics.solve(T, start, steps=steps)
+        for k, (pose, x) in enumerate(zip(T, start, strict=True)):
+            q, away = newton(kinematics, pose, x, steps=steps, longest=1.0, damping=1e-2)
+            np.testing.assert_allclose(found.q[k], q, rtol=0, atol=1e-6)
+            assert found.residual[k] == pytest.approx(away, rel=1e-6, abs=1e-9)
 
 
-@pytest.mark.parametrize("kernel", KERNELS)
-def test_a_walk_follows_its_poses_without_a_jump(kernel: str, rng: Any) -> None:
+def walked(kinematics: ArmKinematics, T: Any, ahead: Any, x: Any, halvings: int = 12) -> Any:
+    """Positions (n,) at the next pose by undamped steps; None where they leap or pass a singularity in every half."""
+    q, away = newton(kinematics, ahead, x, steps=12, longest=0.3, damping=0.0)
+    passed = kinematics.n == 6 and np.prod(np.linalg.det(kinematics.jacobians([x, q]))) < 0.0
+    if away <= 1e-9 and np.abs(q - x).max() <= 0.3 and not passed:
+        return q
+    if not halvings:
+        return None
+    middle = T.copy()
+    middle[:3, :3] = pin.exp3(0.5 * pin.log3(ahead[:3, :3] @ T[:3, :3].T)) @ T[:3, :3]
+    middle[:3, 3] = 0.5 * (T[:3, 3] + ahead[:3, 3])
+    half = walked(kinematics, T, middle, x, halvings - 1)
+    return half if half is None else walked(kinematics, middle, ahead, half, halvings - 1)
+
+
+@pytest.mark.parametrize("robot", ROBOTS)
+def test_walks_go_on_by_small_steps_each_halved_where_it_has_to_be(robot: str, rng: Any) -> None:
+    kinematics = KINEMATICS[robot]
+    q = kinematics.seeds(1, rng)[0]
+    way = kinematics.tool_poses(q + np.linspace(0.0, 0.9, 5)[:, None] * rng.uniform(-1.0, 1.0, kinematics.n))
+    starts = kinematics.solve(way[:1], kinematics.seeds(20, rng))
+    starts_q = starts.q[starts.reached][:6]
+    found = kinematics.walk(way, starts_q)
+    for k, start in enumerate(starts_q):
+        expected = [start]
+        for T, ahead in itertools.pairwise(way):
+            after = walked(kinematics, T, ahead, expected[-1])
+            if after is None:
+                break
+            expected.append(after)
+        assert found.reached[k] == len(expected) - 1
+        np.testing.assert_allclose(found.q[k, : len(expected)], expected, rtol=0, atol=1e-6)
+
+
+@pytest.mark.parametrize("robot", ROBOTS)
+def test_derivatives_are_those_of_any_motion_of_the_tool(robot: str, rng: Any) -> None:
+    """J q′ = V and J q″ + J′ q′ = V′ with J′ by differences, by least squares of fewer than six joints."""
+    kinematics, h = KINEMATICS[robot], 1e-6
+    q, (V, dV) = kinematics.seeds(60, rng), rng.uniform(-1.0, 1.0, (2, 60, 6))
+    q = q[kinematics.singular_values(q)[:, -1] > 0.05]
+    V, dV = V[: len(q)], dV[: len(q)]
+    slope, curvature = kinematics.derivatives(q, V, dV)
+    J = kinematics.jacobians(q)
+    dJ = (kinematics.jacobians(q + h * slope) - kinematics.jacobians(q - h * slope)) / (2.0 * h)
+    rest = dV - np.einsum("kij,kj->ki", dJ, slope)
+    if kinematics.n >= 6:
+        np.testing.assert_allclose(np.einsum("kij,kj->ki", J, slope), V, rtol=0, atol=1e-10)
+        np.testing.assert_allclose(np.einsum("kij,kj->ki", J, curvature), rest, rtol=1e-6, atol=1e-6)
+    else:
+        least = np.linalg.pinv(J)
+        np.testing.assert_allclose(slope, np.einsum("kij,kj->ki", least, V), rtol=0, atol=1e-11)
+        np.testing.assert_allclose(curvature, np.einsum("kij,kj->ki", least, rest), rtol=1e-6, atol=1e-5)
+
+
+def test_a_walk_follows_its_poses_without_a_jump(rng: Any) -> None:
     """Two poses 0.8 rad of every joint apart: what happens between them is found by halving."""
-    kinematics = KINEMATICS["rx90l", kernel]
+    kinematics = KINEMATICS["rx90l"]
     q = np.array([0.3, 0.4, 1.2, 0.5, 0.8, -0.4])
     fine = q + np.linspace(0.0, 1.0, 50)[:, None] * np.array([0.8, 0.3, -0.4, 0.5, 0.3, 0.8])
     poses = kinematics.tool_poses(fine)
@@ -260,9 +313,8 @@ def test_a_walk_follows_its_poses_without_a_jump(kernel: str, rng: Any) -> None:
     np.testing.assert_allclose(coarse.q[0], fine[[0, 25, 49]], rtol=0, atol=1e-7)
 
 
-@pytest.mark.parametrize("kernel", KERNELS)
-def test_a_walk_ends_before_a_singularity_and_where_the_reach_ends(kernel: str) -> None:
-    kinematics = KINEMATICS["rx90l", kernel]
+def test_a_walk_ends_before_a_singularity_and_where_the_reach_ends() -> None:
+    kinematics = KINEMATICS["rx90l"]
     through = np.array([0.3, 0.4, 1.2, 0.5, 0.0, -0.4]) + np.linspace(-0.3, 0.31, 40)[:, None] * np.eye(6)[4]
     walk = kinematics.walk(kinematics.tool_poses(through), through[:1])
     assert not walk.complete[0]
@@ -275,10 +327,9 @@ def test_a_walk_ends_before_a_singularity_and_where_the_reach_ends(kernel: str) 
     assert (away.q[0, away.reached[0] :] == away.q[0, -1]).all()
 
 
-@pytest.mark.parametrize("kernel", KERNELS)
-def test_walks_of_many_starts_are_those_of_each(kernel: str, rng: Any) -> None:
+def test_walks_of_many_starts_are_those_of_each(rng: Any) -> None:
     """From branches of the first pose at once, and from a start that is not at it."""
-    kinematics = KINEMATICS["rx90l", kernel]
+    kinematics = KINEMATICS["rx90l"]
     q = np.array([0.3, 0.4, 1.2, 0.5, 0.8, -0.4])
     poses = kinematics.tool_poses(q + np.linspace(0.0, 1.0, 6)[:, None] * np.array([0.5, 0.2, -0.3, 0.4, 0.2, 0.5]))
     starts = kinematics.solve(poses[:1], kinematics.seeds(40, rng))
@@ -300,10 +351,9 @@ def test_walks_of_many_starts_are_those_of_each(kernel: str, rng: Any) -> None:
     assert (single.reached == 0).all()
 
 
-@pytest.mark.parametrize("kernel", KERNELS)
-def test_options_of_newtons_method_are_kept(kernel: str, rng: Any) -> None:
+def test_options_of_newtons_method_are_kept(rng: Any) -> None:
     """Without steps the start comes back with its distance; a step of a joint is no longer than told."""
-    kinematics = KINEMATICS["rx90l", kernel]
+    kinematics = KINEMATICS["rx90l"]
     start = kinematics.seeds(20, rng)
     pose = kinematics.tool_poses(start[:1] + 0.5)
     here = kinematics.solve(pose, start, steps=0)
@@ -325,22 +375,20 @@ def test_options_of_newtons_method_are_kept(kernel: str, rng: Any) -> None:
     assert (kinematics.solve(pose, start, tolerance=10.0).q == start).all()
 
 
-@pytest.mark.parametrize("kernel", KERNELS)
-def test_kernels_write_all_of_their_results(kernel: str, rng: Any) -> None:
+def test_the_core_writes_all_of_its_results(rng: Any) -> None:
     """Whatever the arrays held before."""
-    kinematics = KINEMATICS["rx90l", kernel]
-    used = kinematics.kernel
+    kinematics = KINEMATICS["rx90l"]
     q = np.array([[0.3, 0.4, 1.2, 0.5, 0.8, -0.4], [1.0, 0.3, 1.0, 0.5, 0.8, -0.4]])
     poses = np.full((2, 12), np.nan)
     J = np.full((2, 6, 6), np.nan)
-    used.place(kinematics.numbers, q, poses, J)
+    _core.place(kinematics.numbers, q, poses, J)
     np.testing.assert_array_equal(poses, pose_rows(kinematics.tool_poses(q)))
     np.testing.assert_array_equal(J.transpose(0, 2, 1), kinematics.jacobians(q))
     way = np.repeat(poses[:1], 2, axis=0)
     way[1, 9:] += 5.0  # out of reach: none comes further than its start
     walked, reached = np.full((2, 2, 6), np.nan), np.full(2, 7.0)
     walked[:, 0] = q
-    used.walk(kinematics.numbers, way, walked, reached, 1e-9, 0.3, 3)
+    _core.walk(kinematics.numbers, way, walked, reached, 1e-9, 0.3, 3)
     np.testing.assert_array_equal(reached, 0.0)
     np.testing.assert_array_equal(walked, np.repeat(q[:, None], 2, axis=1))
 
@@ -352,7 +400,7 @@ def test_an_answer_is_reached_up_to_a_nanometre() -> None:
 
 
 def test_poses_may_be_given_as_placements_matrices_or_rows(rng: Any) -> None:
-    kinematics = KINEMATICS["rx90l", KERNELS[0]]
+    kinematics = KINEMATICS["rx90l"]
     q = kinematics.seeds(4, rng)
     T = kinematics.tool_poses(q)
     rows = pose_rows(T)
@@ -385,7 +433,7 @@ def test_a_matrix_that_is_no_pose_is_named_by_its_index(at: tuple[int, int], val
 
 
 def test_a_redundant_walk_takes_the_shortest_way_in_units_of_the_joints_speeds(rng: Any) -> None:
-    kinematics = KINEMATICS["arm7", KERNELS[0]]
+    kinematics = KINEMATICS["arm7"]
     q = kinematics.middle + 0.3
     poses = kinematics.tool_poses(q + np.linspace(0.0, 1e-4, 2)[:, None] * rng.uniform(-1.0, 1.0, 7))
     step = np.diff(kinematics.walk(poses, q[None]).q[0], axis=0)[0]
@@ -404,7 +452,7 @@ def test_only_joints_that_move_the_tool_count() -> None:
 
 
 def test_bad_input_is_named() -> None:
-    kinematics = KINEMATICS["rx90l", KERNELS[0]]
+    kinematics = KINEMATICS["rx90l"]
     pose = np.eye(4)
     for q in (np.zeros(6), np.zeros((2, 5)), np.full((1, 6), np.nan)):
         with pytest.raises(InvalidInputError, match="joint positions of shape"):
@@ -424,17 +472,6 @@ def test_bad_input_is_named() -> None:
         kinematics.walk([], np.zeros((1, 6)))
     with pytest.raises(InvalidInputError, match=r"shape \(M, 6\), got shape \(2, 5\).*joint_1, joint_2, .*joint_6\."):
         kinematics.tool_poses(np.zeros((2, 5)))
-    with pytest.raises(UnknownNameError, match="kernel"):
-        ArmKinematics(ARMS["rx90l"], kernel="fast")  # type: ignore[arg-type]
-
-
-def test_a_missing_kernel_is_told_unless_one_was_asked_for_by_name(monkeypatch: pytest.MonkeyPatch) -> None:
-    told: list[str] = []
-    monkeypatch.setattr(coopqp.model.batch, "warn_once", lambda: told.append("told"))
-    ArmKinematics(ARMS["rx90l"], kernel="plain")
-    assert not told
-    assert ArmKinematics(ARMS["rx90l"]).kernel is KINEMATICS["rx90l", KERNELS[0]].kernel
-    assert told == ["told"]
 
 
 def test_an_arm_whose_joints_neither_turn_nor_slide_is_named() -> None:
@@ -451,7 +488,7 @@ def test_an_arm_whose_joints_neither_turn_nor_slide_is_named() -> None:
 
 
 def test_starts_are_not_changed() -> None:
-    kinematics = KINEMATICS["rx90l", KERNELS[0]]
+    kinematics = KINEMATICS["rx90l"]
     q = np.full((3, 6), 0.3)
     kinematics.solve(np.eye(4), q)
     assert (q == 0.3).all()

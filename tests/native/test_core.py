@@ -28,19 +28,16 @@ from coopqp import (
     SupervisionOptions,
     WaypointPath,
 )
+from coopqp.control.core import compiled
 from coopqp.control.step import decoding
 from coopqp.control.step.constraint_set import Constraints
 from coopqp.model import CellState
-from coopqp.native import layout
+from coopqp.native import _core as native, layout
 from coopqp.scenarios import Scenario, at_limit, dual_arm7, mixed_cell, paper_lift, ring
 from coopqp.solvers import QpProblem, QpSolution, QpSolver, make_solver
 from coopqp.spatial import Array
 
 pytestmark = pytest.mark.core
-
-
-native = pytest.importorskip("coopqp.native._core", reason="the core is not compiled")
-compiled = pytest.importorskip("coopqp.control.core.compiled", reason="the core is not compiled")
 
 #: The one that this processor runs, and the one that any can.
 ARITHMETICS = ("auto", "plain")

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Callable
 from typing import Any
 
@@ -13,7 +12,8 @@ from hypothesis import given, strategies as st
 
 from coopqp import InvalidInputError, QPController, QPOptions
 from coopqp.baselines import IndependentQPController, IndependentQPOptions
-from coopqp.errors import MissingExtraError, MissingSolverError, UnknownNameError
+from coopqp.errors import MissingSolverError, UnknownNameError
+from coopqp.native import _core as native
 from coopqp.native.constants import LARGEST_X
 from coopqp.scenarios import fast_lift
 from coopqp.solvers import (
@@ -30,7 +30,6 @@ from coopqp.solvers.daqp import DaqpSolver
 from coopqp.solvers.polish import measure
 from coopqp.solvers.problem import INFINITE
 
-native = pytest.importorskip("coopqp.native._core", reason="the core is not compiled")
 pytestmark = pytest.mark.core
 OTHERS = [name for name in ("daqp", "quadprog") if name in available_solvers()]
 SEEDS = st.integers(0, 2**32 - 1)
@@ -310,15 +309,6 @@ def test_the_default() -> None:
     assert default_solver() == make_solver("auto").name == "ldp"
     assert default_solver(strictly_convex=False) == "daqp"
     assert "ldp" in available_solvers()
-
-
-def test_without_the_compiled_core(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setitem(sys.modules, "coopqp.native._core", None)
-    monkeypatch.setattr("coopqp.solvers.choice.find_spec", lambda name: None if "_core" in name else object())
-    assert default_solver() == "daqp"
-    assert "ldp" not in available_solvers()
-    with pytest.raises(MissingExtraError, match="compiler"):
-        make_solver("ldp")
 
 
 def test_a_backend_that_is_not_installed_says_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:

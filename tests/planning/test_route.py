@@ -12,6 +12,7 @@ import pytest
 import route_cases
 import route_shelves
 from marks import slow_but_first
+from path_samples import samples_of
 
 from coopqp import (
     CollisionScene,
@@ -24,16 +25,14 @@ from coopqp import (
 )
 from coopqp.collision import Body, Box, Capsule
 from coopqp.collision.distances import Distances
-from coopqp.collision.edges_plain import PlainEdges
 from coopqp.model import CellState
 from coopqp.model.batch import ArmKinematics
-from coopqp.native import compiled
 from coopqp.paths.geometry import blended
 from coopqp.planning import ArmGoal, FreeTurn, PathVerdict, Route, RouteVerdict, TurnedGoal
 from coopqp.planning.route.duration import estimated_duration
-from coopqp.planning.route.edges import EdgeLimits, limits_with
-from coopqp.planning.route.sampling import rounded, samples_of
-from coopqp.planning.route.tree import STEP, Pose, distance
+from coopqp.planning.route.edges import EdgeLimits, columns_of, limits_with
+from coopqp.planning.route.sampling import rounded
+from coopqp.planning.route.tree import STEP, Pose, distance, part_of
 from coopqp.scenarios import dual_arm7
 
 #: Poses in the trees that end a search in a test.
@@ -241,49 +240,87 @@ def test_arguments_that_make_no_search_are_refused(posts: tuple[route_cases.Prob
 
 
 @pytest.mark.core
-@pytest.mark.skipif(compiled() is None, reason="compares the compiled edges with their definition")
-def test_compiled_edges_go_as_far_as_their_definition() -> None:
+def test_edges_end_where_arms_or_distances_end_and_keep_both_between_their_samples() -> None:
+    """Against kinematics of each arm alone, and distances by coal at a hundred places between two samples."""
     problem = route_cases.posts3()
     cell, grasp, scene = problem.cell, problem.grasp, problem.scene
     x = cell.positions(problem.q_start)
     required, _ = scene.required_at(x[None])
     limits: EdgeLimits = limits_with(cell, x[None], required)
     arms = [ArmKinematics(arm) for arm in cell.arms]
-    both = scene.edges(arms, grasp, limits), PlainEdges(scene.built, arms, grasp, limits)
-    rooms = [edges.rooms(x) for edges in both]
-    np.testing.assert_allclose(*rooms, atol=1e-4)
+    edges, offsets = scene.edges(arms, grasp, limits), [np.array(X.homogeneous) for X in grasp.T_object_tool]
+    distances, levers = Distances(scene.built), scene.required_at(x[None])[1]
+
+    def margins(x: Any) -> Any:
+        """Distance less what is required (P,)."""
+        return distances.all(cell.configuration(x)) - required
+
+    def followed(a: Any, b: Any, x: Any) -> tuple[str, Any]:
+        """What stops the arms between two poses, which are rows; and the joint positions at the second one."""
+        found, T = x.copy(), [Pose.of_row(row).placement().homogeneous for row in (a, b)]
+        for arm, own, X in zip(arms, columns_of(cell, arms), offsets, strict=True):
+            q, reached = arm.trajectories(np.array(T) @ X, x[None, own])
+            found[own] = q[0, 1]
+            if not reached[0]:
+                return "reach", found
+            if ((found[own] < limits.lower[own]) | (found[own] > limits.upper[own])).any():
+                return "limit", found
+            if arm.singular_values(q[:, 1])[0, -1] < limits.sigma_min:
+                return "singular", found
+        return "", found
+
+    rooms = edges.rooms(x)
+    np.testing.assert_allclose(rooms, margins(x), atol=1e-4)
     rng = np.random.default_rng(0)
     kinds, stoppers = set(), set()
     for _ in range(12):
         goal = problem.start * pin.exp6(pin.Motion(rng.uniform(-1.0, 1.0, 6) * [0.3, 0.3, 0.3, 0.5, 0.5, 0.5]))
         a, b = Pose.of(problem.start), Pose.of(goal)
         steps = int(np.ceil(distance(a, b) / STEP))
-        rows, way = both[0].line(a.row(), b.row(), steps), (pin.log3(a.R.T @ b.R), b.p - a.p)
-        np.testing.assert_allclose(rows, both[1].line(a.row(), b.row(), steps), atol=1e-12)
+        rows, way = edges.line(a.row(), b.row(), steps), (pin.log3(a.R.T @ b.R), b.p - a.p)
+        np.testing.assert_allclose(rows, [part_of(a, b, i / steps).row() for i in range(steps + 1)], atol=1e-12)
         motion = np.tile([np.linalg.norm(way[1]) / steps, np.linalg.norm(way[0]) / steps], (steps, 1))
-        one, other = (edges.walk(rows, motion, x, room) for edges, room in zip(both, rooms, strict=True))
-        assert one.stop.kind == other.stop.kind
-        assert len(one.positions) == len(other.positions)
-        np.testing.assert_allclose(one.positions, other.positions, atol=1e-7)
+        one = edges.walk(rows, motion, x, rooms)
         kinds.add(one.stop.kind)
-        # The object alone, and the arms alone, get at least as far as both together, and as far as their definition.
-        alone = [edges.object_along(rows, motion, room) for edges, room in zip(both, rooms, strict=True)]
-        arms_alone = [edges.arms_along(rows, x) for edges in both]
-        assert alone[0] == alone[1] >= len(one.positions)
-        assert len(arms_alone[0]) == len(arms_alone[1]) >= len(one.positions)
-        np.testing.assert_array_equal(arms_alone[0][: len(one.positions)], one.positions)
-        stopped_by_object = one.stop.kind == "pair" and np.isfinite(scene.required_at(x[None])[1][one.stop.number])
-        stoppers.add((stopped_by_object, alone[0] < len(rows)))
-        far = Distances(scene.built).all(cell.configuration(one.positions[-1])) - required
-        assert (one.rooms[-1] <= far + 1e-6).all()
-        assert (other.rooms[-1] <= far + 1e-6).all()
+        n = len(one.positions)
+        for i, (before, after) in enumerate(pairwise(one.positions)):
+            kind, found = followed(rows[i], rows[i + 1], before)
+            assert not kind
+            np.testing.assert_allclose(after, found, atol=1e-7)
+            far = margins(after)
+            assert (one.rooms[i + 1] <= far + 1e-6).all()
+            assert (far >= limits.spare - 1e-6).all()
+            if (far < 2.0 * limits.spare).any() or i == n - 2:
+                between = [margins(part) for part in np.linspace(before, after, 100)]
+                assert np.min(between) >= -1e-6
+        # The object alone, and the arms alone, get at least as far as both together.
+        objects, alone = edges.object_along(rows, motion, rooms), edges.arms_along(rows, x)
+        assert objects >= n
+        assert len(alone) >= n
+        np.testing.assert_array_equal(alone[:n], one.positions)
+        if len(alone) < len(rows):
+            assert followed(rows[len(alone) - 1], rows[len(alone)], alone[-1])[0]
+        of_object = np.array([margins(x)[np.isfinite(levers)].min() for x in alone[: objects + 1]])
+        assert (of_object[:objects] >= limits.spare.min() - 1e-6).all()
+        if len(of_object) > objects:
+            assert of_object[objects] < limits.spare.max() + 1e-6
+        by_object = one.stop.kind == "pair" and bool(np.isfinite(levers[one.stop.number]))
+        stoppers.add((by_object, objects < len(rows)))
+        if one.stop.kind == "pair":
+            kind, found = followed(rows[n - 1], rows[n], one.positions[-1])
+            assert not kind
+            ahead = np.array([margins(part) for part in np.linspace(one.positions[-1], found, 100)])[:, one.stop.number]
+            assert ahead.min() < limits.spare[one.stop.number] + 1e-6
+        elif one.stop.kind:
+            assert followed(rows[n - 1], rows[n], one.positions[-1])[0] == one.stop.kind
+        else:
+            assert n == len(rows)
     assert {"pair", ""} <= kinds or len(kinds) > 1
     assert {(True, True), (False, False)} <= stoppers
 
 
 @pytest.mark.core
-@pytest.mark.skipif(compiled() is None, reason="compares the compiled samples with their definition")
-def test_compiled_samples_of_rounded_corners_are_those_of_the_geometry() -> None:
+def test_samples_of_rounded_corners_are_those_of_the_geometry() -> None:
     problem = route_cases.posts3()
     x = problem.cell.positions(problem.q_start)
     limits = limits_with(problem.cell, x[None], problem.scene.required_at(x[None])[0])

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 import pytest
+from path_samples import samples_of
 
 from coopqp import InvalidInputError
 from coopqp.errors import UnknownNameError
@@ -17,7 +18,7 @@ from coopqp.paths.geometry import Blend
 from coopqp.planning import ArmGoal, FreeTurn, Route, RouteVerdict, TurnedGoal
 from coopqp.planning.route.edges import columns_of, limits_with
 from coopqp.planning.route.goals import goal_poses
-from coopqp.planning.route.sampling import rounded, samples_of
+from coopqp.planning.route.sampling import rounded
 from coopqp.planning.route.shape import corners_of
 from coopqp.planning.route.tree import Node, Pose, Tree, between, distance, part_of
 from coopqp.scenarios import paper_lift

@@ -8,11 +8,12 @@ from collections import Counter
 
 import numpy as np
 import pytest
+from path_samples import samples_of
 
 from coopqp import JointLimits
 from coopqp.planning.route.duration import estimated_duration
 from coopqp.planning.route.edges import Samples, Stop, Walked
-from coopqp.planning.route.sampling import rounded, samples_of
+from coopqp.planning.route.sampling import rounded
 from coopqp.planning.route.shape import Shape, Shaper
 from coopqp.planning.route.shorten import shortened
 from coopqp.planning.route.tree import Node, Pose, Tree, distance, part_of, straight
@@ -24,8 +25,6 @@ BALL = Stop("pair", 0)
 
 class AboutBall:
     """Free is what is outside a ball of 0.2 m about the origin."""
-
-    effort = 1.0
 
     def __init__(self, radius: float = 0.2) -> None:
         self.radius = radius

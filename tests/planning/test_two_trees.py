@@ -10,10 +10,11 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 import pytest
+from path_samples import samples_of
 
 from coopqp import Grasp
 from coopqp.planning.route.edges import EdgeLimits, Samples, Stop, Walked
-from coopqp.planning.route.sampling import rounded, samples_of
+from coopqp.planning.route.sampling import rounded
 from coopqp.planning.route.search import Search, Searched, SearchLimits, SearchResult
 from coopqp.planning.route.tree import Node, Pose, distance, part_of
 from coopqp.spatial import Array
@@ -27,8 +28,6 @@ LIMITS = np.array([9.0, 0.4, 9.0])  # of the joints, which are the origin
 
 class Walled:
     """A wall across x, 0.1 m thick, with a round hole; the "arm" is where the object is."""
-
-    effort = 1.0
 
     def __init__(self, hole: float, ends_at: Callable[[Array], bool] = lambda _: False) -> None:
         self.hole, self.ends_at = hole, ends_at

@@ -458,7 +458,7 @@ def test_the_table_has_every_row_with_all_digits_and_no_times(whole: Path) -> No
         assert float(row["chain_mm"]) == entries[int(row["row"])]["chain_mm"]
     assert not any("second" in name for name in rows[0])
     description = json.loads((whole / "study.json").read_text(encoding="utf-8"))
-    assert {"kernel", "coopqp", "numpy", "processor"} <= set(description["versions"])
+    assert {"solver", "coopqp", "numpy", "processor"} <= set(description["versions"])
     parquet = pytest.importorskip("pyarrow.parquet")
     table = parquet.read_table(whole / "runs.parquet").to_pylist()
     assert [row["chain_mm"] for row in table] == [float(row["chain_mm"]) for row in rows]

@@ -177,7 +177,7 @@ def test_bodies_of_a_cell_file_are_kept_apart_where_it_says_so(tmp_path: Path) -
 
 def test_versions_name_what_the_bits_of_a_row_depend_on() -> None:
     found = versions()
-    names = ["python", "coopqp", "pin", "numpy", "scipy", "daqp", "osqp", "proxsuite", "kernel", "solver", "processor"]
+    names = ["python", "coopqp", "pin", "numpy", "scipy", "daqp", "osqp", "proxsuite", "solver", "processor"]
     assert list(found) == names
     assert found["numpy"] == np.__version__
     assert all(isinstance(value, str) and value for value in found.values())

@@ -11,7 +11,7 @@ from coopqp.control.step.constraint_set import Constraints
 from coopqp.errors import UnknownNameError
 from coopqp.model.cell import RobotCell
 from coopqp.model.grasp import Grasp
-from coopqp.native import available_kernels, warn_once
+from coopqp.native import _core, available_kernels
 from coopqp.spatial import Array
 
 if TYPE_CHECKING:
@@ -30,9 +30,6 @@ def make_loop(
 
     Raises:
         UnknownNameError: this installation has no such kernel.
-
-    Warns:
-        KernelWarning: there is no compiled kernel, and none was asked for by name.
     """
     # Both loops use the layout of this package: they are imported here, so that either may be imported first.
     from coopqp.control.step.plain import PlainLoop
@@ -48,8 +45,6 @@ def make_loop(
             return CompiledLoop(cell, grasp, dt=dt, options=options, constraints=constraints)
         except NotForTheCore:
             pass
-    elif options.kernel == "auto":
-        warn_once()
     return PlainLoop(cell, grasp, dt=dt, options=options, constraints=constraints)
 
 
@@ -57,8 +52,6 @@ def minding_of(kernel: str) -> tuple[Relax, Allow]:
     """Functions of a kernel for forces: the relaxation (``relax.cpp``), and the allowed rate (``allow.cpp``)."""
     if kernel == "plain":
         return relax_plain.relax, allow_plain.allow
-    from coopqp.native import _core
-
     return _core.relax, _core.allow
 
 

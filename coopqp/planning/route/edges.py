@@ -83,13 +83,7 @@ class Walked(NamedTuple):
 
 
 class Edges(Protocol):
-    """Walks of all arms along poses of the object that keep limits and distances, between the poses, too.
-
-    Attributes:
-        effort: share of the tries to make a way shorter and faster that walks as slow as these leave time for.
-    """
-
-    effort: float
+    """Walks of all arms along poses of the object that keep limits and distances, between the poses, too."""
 
     def walk(self, poses: Array, motion: Array, x: Array, rooms: Array) -> Walked:
         """Walk as far as everything is kept.
@@ -119,7 +113,7 @@ class Edges(Protocol):
         ...
 
     def samples(self, poses: Array, deviations: Array) -> Samples:
-        """Samples of straight lines with corners rounded off, see :func:`coopqp.planning.route.sampling.rounded`.
+        """Samples of straight lines with corners rounded off, those of :func:`coopqp.planning.route.sampling.rounded`.
 
         Args:
             poses: both ends, and the corners, rows of R (9), p (3): (M, 12).

@@ -15,7 +15,7 @@ import numpy as np
 from coopqp.model.batch import REACHED
 from coopqp.paths.geometry import PathGeometry
 from coopqp.planning.route.edges import LEAST_SIGMA
-from coopqp.planning.route.sampling import rounded, samples_of
+from coopqp.planning.route.sampling import rounded
 from coopqp.planning.route.search import Searched
 from coopqp.planning.route.shape import corners_of
 from coopqp.planning.route.shorten import shortened
@@ -61,10 +61,11 @@ def led_ways(
     before, behind = (shortened(task.edges, way, rng, until) for way in (before, behind))
     first, last = corners_of(before), corners_of(behind)[::-1]
     poses = (*first, *last[1:])
+    corners = np.array([pose.row() for pose in poses])
     for widest in _WIDEST:
         deviations = np.full(len(poses) - 2, widest)
         geometry = rounded(poses, deviations)
-        s, rows, _ = samples_of(geometry)
+        s, rows, _ = task.edges.samples(corners, deviations)
         ahead = _walked(task, rows, before[0].x)
         back = _walked(task, rows[::-1], behind[0].x)[::-1]
         met = float(s[int(np.linalg.norm(rows[:, 9:] - first[-1].p, axis=1).argmin())])

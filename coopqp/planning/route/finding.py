@@ -86,7 +86,7 @@ def find_path(
         scene: the bodies that keep distances, a :class:`coopqp.CollisionScene` of the same cell.
         q_start: configuration at the start (nq,); found by default.
         nodes: number of poses in the trees that ends the search, samples that lead to none included. A search that
-            ends by it gives the same way again, bit for bit, with the same seed, kernel and type of processor.
+            ends by it gives the same way again, bit for bit, with the same seed, version and type of processor.
         time_limit: the longest search [s]; a way that is found by then is shortened, rounded and proved after it.
         seed: seed of the random numbers.
         region: lowest and highest origin of the object (2, 3) [m]; by default from 0.3 m below start and goal to 0.4 m
@@ -318,7 +318,7 @@ class _Finding:
         began = time.perf_counter()
         until = began + _BETTERING if self._limits.shortens else np.inf
         shapes = [self._shape(shortened(self._edges, result.way, self._rng, until), WIDEST)]
-        for _ in range(int(self._edges.effort * _OTHERS)):
+        for _ in range(_OTHERS):
             if self._limits.shortens and time.perf_counter() > began + _SEARCHING:
                 break
             other = Search(task, starts, goals, self._rng)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -123,7 +122,7 @@ class Shaper:
             shape: where it begins.
             rng: random numbers.
             until: :func:`time.perf_counter` when no more is tried [s].
-            changes: that are tried; fewer with slow edges.
+            changes: that are tried.
         """
         first = self.fixed + 1
         for k in range(len(shape.poses) - 2, first - 1, -1):
@@ -133,7 +132,7 @@ class Shaper:
                 shape = self._changed(shape, others, np.delete(shape.deviations, k - 1), most) or shape
         size = _SIZES[1]
         again: _Change | None = None
-        for _ in range(math.ceil(self.edges.effort * changes)):
+        for _ in range(changes):
             if len(shape.poses) < first + 2 or time.perf_counter() >= until:
                 break
             poses, deviations = list(shape.poses), shape.deviations.copy()

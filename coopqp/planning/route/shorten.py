@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import itertools
-import math
 import time
 
 import numpy as np
@@ -30,7 +29,7 @@ def shortened(edges: Edges, way: list[Node], rng: np.random.Generator, until: fl
     """
     way = _farthest_first(edges, way, until)
     in_vain = 0
-    for _ in range(math.ceil(edges.effort * _TRIES)):
+    for _ in range(_TRIES):
         if in_vain >= _IN_VAIN or len(way) < 3 or time.perf_counter() >= until:
             break
         better = _between_random_points(edges, way, rng)

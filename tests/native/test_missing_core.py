@@ -1,0 +1,52 @@
+"""Without the compiled core nothing runs, and one error says what to install."""
+
+from __future__ import annotations
+
+import importlib
+import pickle
+import subprocess
+import sys
+
+import pytest
+
+from coopqp.errors import CoopqpError, MissingCoreError, RemovedNameError
+
+NONE = "import sys; sys.modules['coopqp.native._core'] = None; import coopqp; "
+DEMO = "from coopqp.cli.main import main; sys.exit(main(['demo', '--out', 'never_written']))"
+REMEDY = "pip install --force-reinstall coopqp"
+
+
+@pytest.mark.parametrize(
+    "use",
+    [
+        "coopqp.QPController", "coopqp.CollisionScene", "import coopqp.model.batch",
+        "coopqp.solvers.make_solver('auto')", DEMO,
+    ],
+    ids=["step", "distances", "kinematics", "solver", "command"],
+)  # fmt: skip
+def test_a_missing_core_is_one_error_that_says_what_to_install(use: str) -> None:
+    """From what needs it; ``import coopqp`` needs nothing of it."""
+    found = subprocess.run([sys.executable, "-c", NONE + use], capture_output=True, text=True, timeout=60, check=False)
+    last = found.stderr.strip().splitlines()[-1]
+    assert found.returncode != 0
+    assert "the compiled core of coopqp is missing" in last
+    assert REMEDY in last
+    assert ("Traceback" in found.stderr) == (use is not DEMO)
+
+
+def test_the_error_of_a_missing_core_is_an_import_error_that_can_be_sent() -> None:
+    error = MissingCoreError("no file")
+    assert isinstance(error, ImportError)
+    assert isinstance(error, CoopqpError)
+    assert str(pickle.loads(pickle.dumps(error))) == str(error)
+
+
+@pytest.mark.parametrize(
+    ("module", "name", "instead"),
+    [("coopqp.errors", "KernelWarning", "MissingCoreError"), ("coopqp.native", "kernel_text", "compiled core")],
+)
+def test_names_that_are_gone_say_what_replaces_them(module: str, name: str, instead: str) -> None:
+    with pytest.raises(RemovedNameError, match=rf"{module}\.{name} is gone: .*{instead}"):
+        exec(f"from {module} import {name}")
+    with pytest.raises(AttributeError, match="no attribute 'nothing'"):
+        getattr(importlib.import_module(module), "nothing")  # noqa: B009
