@@ -1,4 +1,4 @@
-/* Lower bounds of distances for Python: functions, which bounds_plain.py says in NumPy, and Nearby. */
+/* Lower bounds of distances for Python: functions, and Nearby. */
 
 #include <nanobind/stl/optional.h>
 #include <nanobind/stl/vector.h>

@@ -1,5 +1,5 @@
 /* Edges of a search for the object's path: all arms walk along poses of the object, and distances are kept between them,
- * too. The definition is coopqp/collision/edges_plain.py. */
+ * too. See coopqp/collision/edges.py. */
 
 #ifndef COOPQP_EDGES_H
 #define COOPQP_EDGES_H

@@ -1,5 +1,5 @@
-/* Samples of straight lines between poses whose corners are rounded off, for walks of the arms. The definition is
- * samples_of in coopqp/planning/route/sampling.py, of blended in coopqp/paths/geometry.py. */
+/* Samples of straight lines between poses whose corners are rounded off, for walks of the arms: those of
+ * `rounded` in coopqp/planning/route/sampling.py. */
 
 #include <math.h>
 
