@@ -33,9 +33,7 @@ from typing import Any, final
 import numpy as np
 import pinocchio as pin
 
-from coopqp.control.core import minding_of
-from coopqp.control.core.allow_plain import BY_RELEASE
-from coopqp.control.core.relax_plain import gives_way, minding_scalars, minding_size, minding_views
+from coopqp.control.core.force_memory import BY_RELEASE, gives_way, minding_scalars, minding_size, minding_views
 from coopqp.control.monitoring.stress import servo_wrenches
 from coopqp.errors import InvalidInputError
 from coopqp.forces.force_options import ForceOptions
@@ -46,6 +44,7 @@ from coopqp.forces.sensor_check import SensorCheck
 from coopqp.model.cell import RobotCell
 from coopqp.model.chain import Chain
 from coopqp.model.grasp import Grasp
+from coopqp.native import _core
 from coopqp.native.constants import LOOK_EVERY
 from coopqp.spatial import Array, for_twists
 
@@ -94,7 +93,6 @@ class Relaxation:
         options: settings.
         dt: nominal length of a step [s].
         shares_of: s, share of each arm in the object's pose (N, 6) while some of them hold it (N,).
-        kernel: the code of a step, ``"compiled"`` or ``"plain"``.
 
     Attributes:
         memory: numbers of :data:`coopqp.native.layout.Minding`, and the vectors below.
@@ -111,9 +109,7 @@ class Relaxation:
         InvalidInputError: bad settings, also those with which forces would swing.
     """
 
-    def __init__(
-        self, cell: RobotCell, grasp: Grasp, options: ForceOptions, *, dt: float, shares_of: SharesOf, kernel: str
-    ) -> None:
+    def __init__(self, cell: RobotCell, grasp: Grasp, options: ForceOptions, *, dt: float, shares_of: SharesOf) -> None:
         self.options, self._dt, n = options, dt, len(cell)
         if options.stiffness is None:
             raise InvalidInputError("no stiffness", "ForceOptions", "Give the stiffness of the joint servos.")
@@ -127,7 +123,7 @@ class Relaxation:
         self._cell, self._chain = cell, Chain(cell, grasp)
         self._softness = 1.0 / per_joint(options.stiffness, cell.nv, "ForceOptions: stiffness")
         self.holding = Holding(cell, grasp, options, shares_of)
-        (self._relax, self._allow), self.memory = minding_of(kernel), np.zeros(minding_size(n))
+        self.memory = np.zeros(minding_size(n))
         self.scalars = minding_scalars(self.memory)
         self._put_settings()
         views = self._views = minding_views(self.memory, n)
@@ -254,7 +250,7 @@ class Relaxation:
     # -- a step --------------------------------------------------------------------------------------------------
 
     def step(self, wrenches: Array | None, dt: float) -> int:
-        """Take wrenches at the tools, and move the grasps: ``relax.cpp``, which ``relax_plain.py`` says in NumPy.
+        """Take wrenches at the tools, and move the grasps: ``relax.cpp``.
 
         Args:
             wrenches: (N, 6) [N, N·m], ``dt`` seconds after the last ones; None or NaN for missing ones.
@@ -263,7 +259,8 @@ class Relaxation:
         Returns:
             ``HEARD``; ``MISSED`` if a wrench is missing, ``SILENT`` if one has been missing for too long.
         """
-        return self._relax(self.memory, len(self._cell), wrenches, dt)
+        heard: int = _core.relax(self.memory, len(self._cell), wrenches, dt)
+        return heard
 
     def refer(self, pose: pin.SE3, dt: float) -> None:
         """The object was asked for at ``pose``, in a step of ``dt`` [s]."""
@@ -285,8 +282,8 @@ class Relaxation:
         return f"{size:.0f} N have pushed it towards {towards} of the world (from {limit:.0f} N on)"
 
     def allow(self, dt: float) -> float:
-        """The largest rate of the object in this step: ``allow.cpp``, which ``allow_plain.py`` says in NumPy."""
-        self._allow(self.memory, len(self._cell), dt)
+        """The largest rate of the object in this step: ``allow.cpp``."""
+        _core.allow(self.memory, len(self._cell), dt)
         return self.scalars.allowed
 
     @property

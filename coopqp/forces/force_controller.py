@@ -12,18 +12,16 @@ import pinocchio as pin
 from coopqp.baselines.pseudo_inverse import PseudoInverseController
 from coopqp.checks import ArrayLike, as_options, as_scalar, require
 from coopqp.constraints.cause import Cause
-from coopqp.control.core.allow_plain import (
+from coopqp.control.core.force_memory import (
     BY_CONTACT,
     BY_FRICTION,
     BY_REACH,
     BY_RELEASE,
     BY_SENSOR,
     BY_STAGE,
-    NOTHING_MORE,
-)
-from coopqp.control.core.relax_plain import (
     CHECKING,
     HEARD,
+    NOTHING_MORE,
     PRESSING,
     RELAXING,
     SENSOR_SILENT,
@@ -110,9 +108,7 @@ class ForceController(OperatorCalls):
         refuse_moving_holds(controller.path, "ForceController: controller", _LET_GO)
         self.controller, self.options = controller, options
         self.cell, self.grasp, self.dt = controller.cell, controller.grasp, controller.dt
-        self._relaxation = Relaxation(
-            self.cell, self.grasp, options, dt=controller.dt, shares_of=self._shares_of, kernel=controller.kernel
-        )
+        self._relaxation = Relaxation(self.cell, self.grasp, options, dt=controller.dt, shares_of=self._shares_of)
         self._memory, self._scalars = self._relaxation.memory, self._relaxation.scalars
         self._scalars.asked = controller.override
         #: What is known of the sensors; None if they read as they should.

@@ -6,11 +6,11 @@ palm transmits has to stay inside its friction cone and on its pad (:class:`coop
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 
 import numpy as np
 
-from coopqp.control.core.allow_plain import palms_need, palms_used
 from coopqp.errors import InvalidInputError
 from coopqp.forces.grips import Grip
 from coopqp.forces.internal import load_shares
@@ -23,7 +23,7 @@ _MOST = 1e6
 
 
 def palm_rows(palms: Sequence[Grip]) -> Array:
-    """The palms' bounds for :func:`coopqp.control.core.allow_plain.palms_used` (N, 2, 4, 6)."""
+    """The palms' bounds for :func:`palms_used` (N, 2, 4, 6)."""
     out = np.zeros((len(palms), 2, 4, 6))
     for k, palm in enumerate(palms):
         out[k, 1, 3, :3] = palm.normal
@@ -32,6 +32,31 @@ def palm_rows(palms: Sequence[Grip]) -> Array:
                 rows = out[k, int(bound.kind is LimitKind.TILT)]
                 rows[: len(bound.A), : palm.components], rows[3, : palm.components] = bound.A, bound.b
     return out
+
+
+def palms_used(palms: Array, wrenches: Array) -> Array:
+    """Share of each palm's friction and pad that is used (N,); above 1 it slips or tilts, inf where it does not press.
+
+    Args:
+        palms: for friction, then for tilting, the rows of A (3, 6), then b (6,), of |A w| ≤ b·w (N, 2, 4, 6); the
+            second b is the palm's normal.
+        wrenches: of the arms on the object, at the origins and in the axes of the tools (N, 6) [N, N·m].
+    """
+    forms = np.einsum("kbij,kj->kbi", palms, wrenches)
+    asked, held = np.linalg.norm(forms[:, :, :3], axis=2), forms[:, :, 3]
+    share = np.full_like(held, math.inf)
+    np.divide(asked, held, out=share, where=held > 0.0)
+    out: Array = share.max(axis=1)
+    return out
+
+
+def palms_need(palms: Array, wrenches: Array) -> float:
+    """The normal force with which every palm could transmit its present tangential load [N]; inf if one does not press.
+
+    Arguments as for :func:`palms_used`.
+    """
+    pressed = np.einsum("kj,kj->k", palms[:, 1, 3], wrenches)
+    return float((palms_used(palms, wrenches) * pressed).max()) if (pressed > 0.0).all() else math.inf
 
 
 def palm_use(palms: Sequence[Grip], wrenches: Array) -> Array:

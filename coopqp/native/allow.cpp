@@ -1,8 +1,16 @@
 /* How fast the object may move for the forces: not at all before the arms have relaxed, more slowly where an internal
- * force grows or a palm's friction runs out. allow_plain.py says the same in NumPy. */
+ * force grows or a palm's friction runs out. */
 
 #include "functions.h"
 #include "minding.h"
+
+constexpr double RATE_FALLS = 0.6; /* the rate by forces falls with this time constant, so that braking makes none [s], */
+constexpr double SLOW_RATE = 0.1; /* below this rate steadily, */
+constexpr double RATE_RISES = 2.0; /* and rises in this time without forces [s], */
+constexpr double LEAST_CALM = 0.1; /* or at this share of that pace where there are some */
+constexpr double FRICTION_SLOWS = 0.9; /* share of a palm's friction from which on the object slows down; at 1 it rests */
+constexpr double SPARE_SQUEEZE = 1.2; /* palms press with at least this multiple of the force that the felt load needs, */
+constexpr double FIRMER = 100.0; /* and press harder at this speed [N/s] */
 
 /* Share of a bound |A w| ≤ b·w of a palm that is used. */
 static double share_used(const double *bound, const Vector6 &w) {

@@ -195,30 +195,8 @@ SOON = 0.025  # a force from LET_GO of the limit on holds where its pace would b
 STRAIGHT_BACK = 0.95  # cosine from which on an arm's way back is taken for the cause
 
 # -- forces from the sensors -------------------------------------------------------------------------------------------
-RATE_FALLS = 0.6  # the rate by forces falls with this time constant, so that braking makes none [s],
-SLOW_RATE = 0.1  # below this rate steadily,
-RATE_RISES = 2.0  # and rises in this time without forces [s],
-LEAST_CALM = 0.1  # or at this share of that pace where there are some
-CAREFUL_START = 0.45  # the rate with which the object begins, less by √ρ on servos that are ρ times other than told
-SLOWEST_LESSON = 0.7  # drifts are learned as fast down to this rate
-FRICTION_SLOWS = 0.9  # share of a palm's friction in use above which the object slows down; at 1 it rests
-SENSED_MOTION = 1e-4  # commanded joint velocities above this change what a sensor reads [rad/s or m/s]
-SPARE_SQUEEZE = 1.2  # palms press with at least this multiple of the force that the felt load needs,
-MORE_THAN_AT_START = 1.1  # arms that relax hold where they squeeze by this multiple of the force at the start
-CONTACT_FILTER = 0.002  # time constant of the filter on what pushes the object [s]
-CONTACT_LASTS = 0.5  # the arms hold for this time after the last push: the object may have bounced off [s]
-MORE_THAN_INTERNAL = 1.2  # it pushes this much harder than the arms do each other: an arm that stops does not
-MORE_THAN_STOPPED = 1.5  # or with this many times the impulse that stops it: an arm that stops does that, too,
-PUSHED_FOR = 0.01  # and the limit for this time [s];
-PUSHES_FADE = 0.2  # impulses and speeds are remembered for this time [s]
-UNTIL_TOLD = 1e-9  # and then on, until they are told to go on: what is left of that time [s]
-HEAD_ON = 0.5  # least cosine between the way that the object came and the push by what it has met
-CONTACT_BACK = 0.01  # then the object goes back as fast as it came, and at least at this speed [m/s],
-CONTACT_ROOM = 0.02  # by no more than this [m],
+CONTACT_ROOM = 0.02  # an object that has met something goes back by no more than this [m],
 CONTACT_WAY = 0.2  # and what it goes in this time [s]
-CONTACT_SETTLES = 0.1  # and on what pushes it before it moves
-LATE_LOAD = 0.5  # share of the inertia that may be late
-CORRECTION_FADES = 0.5  # time in which the path correction begins, once the arms have relaxed [s]
 SERVO_SLOWS = 6e-4  # an arm this far from where its wrench puts its servos slows the object,
 SERVO_HOLDS = 1.2e-3  # and holds it from this on [m]
 SERVO_LATE = 4e-4  # and per acceleration of the joints, for what damping and late wrenches make of it [s²]
@@ -235,12 +213,8 @@ LAG_SETTLES = 0.1  # what the deviation is at rest is averaged over this time [s
 GROWS = 2e-3  # closures of rigid grips also drift as fast as the object grows [m/s]
 SOFTEST = 0.05  # servos count as no softer than this share of what they are told to be
 CAP_FALLS = 0.1  # the cap by arms out of step falls from 1 to 0 in this time: a jolt is a force of its own [s]
-FIRMER = 100.0  # and press harder at this speed [N/s]
 LOOK_EVERY = 0.1  # time between two looks at the compliances, which change with the configuration [s]
 MOST_MINDING = 64  # arms
-
-# -- the clock of robots -----------------------------------------------------------------------------------------------
-RATE_CANDIDATES = 32  # rates that are tried in each of two passes where the wanted one breaks a limit
 
 # -- sizes of the memory -----------------------------------------------------------------------------------------------
 MOST_KNOTS = 1024  # that the look-ahead keeps

@@ -5,9 +5,11 @@
 #include <cstdlib>
 
 #include "arrays.h"
-#include "layout.h"
 
 namespace {
+
+/* Rates that are tried in each of two passes where the wanted one breaks a limit. */
+constexpr int RATE_CANDIDATES = 32;
 
 /* Control points of the commands' curve, in a ring that is kept twice: `size` rows of n numbers and the clock. */
 struct Curve {

@@ -1,5 +1,5 @@
 /* The relaxation of forces between N arms, in a memory of its own that Python owns. The scalars are in
- * the struct Minding; relax_plain.py lists the same views. `internal` is the internal wrenches less their target. */
+ * the struct Minding; control/core/force_memory.py lists the same views. `internal` is the internal wrenches less their target. */
 
 #ifndef COOPQP_MINDING_H
 #define COOPQP_MINDING_H

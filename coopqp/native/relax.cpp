@@ -1,8 +1,24 @@
-/* The relaxation of forces, one step of it: the filter on wrenches, and how the grasps give way. relax_plain.py says the
- * same in NumPy, coopqp/forces/admittance.py says why. */
+/* The relaxation of forces, one step of it: the filter on wrenches, and how the grasps give way.
+ * coopqp/forces/admittance.py says why. */
 
 #include "functions.h"
 #include "minding.h"
+
+constexpr double CAREFUL_START = 0.45; /* rate at which the object begins, less by √ρ on servos ρ times other than told */
+constexpr double SLOWEST_LESSON = 0.7; /* drifts are learned as fast down to this rate */
+constexpr double SENSED_MOTION = 1e-4; /* joints faster than this change what a sensor reads [rad/s or m/s] */
+constexpr double CONTACT_FILTER = 0.002; /* time constant of the filter on what pushes the object [s] */
+constexpr double CONTACT_SETTLES = 0.1; /* and on what pushes it before it moves */
+constexpr double CONTACT_LASTS = 0.5; /* the arms hold so long after the last push: the object may have bounced off [s] */
+constexpr double UNTIL_TOLD = 1e-9; /* and then on, until they are told to go on: what is left of that time [s] */
+constexpr double MORE_THAN_INTERNAL = 1.2; /* a contact pushes so much harder than the arms do each other, an arm that stops does not */
+constexpr double MORE_THAN_STOPPED = 1.5; /* or with so many times the impulse that stops the object, as an arm that stops does, too, */
+constexpr double PUSHED_FOR = 0.01; /* and the limit for this time [s]; */
+constexpr double PUSHES_FADE = 0.2; /* impulses and speeds are remembered for this time [s] */
+constexpr double HEAD_ON = 0.5; /* least cosine between the way that the object came and the push by what it has met */
+constexpr double CONTACT_BACK = 0.01; /* then the object goes back as fast as it came, and at least at this speed [m/s], */
+constexpr double LATE_LOAD = 0.5; /* share of the inertia that may be late */
+constexpr double CORRECTION_FADES = 0.5; /* time in which the path correction begins, once the arms have relaxed [s] */
 
 /* Largest norm of the linear part of twists or wrenches, or of the angular one. */
 static double largest_norm(const Twists &x, int part) {

@@ -24,7 +24,7 @@ from coopqp import (
     SupervisionOptions,
 )
 from coopqp.control import StallBound
-from coopqp.control.core.relax_plain import minding_scalars, minding_size
+from coopqp.control.core.force_memory import minding_scalars, minding_size
 from coopqp.control.lookahead.options import PlanLimits
 from coopqp.control.lookahead.ramp_time import RampTime
 from coopqp.control.monitoring.commanded import ChainWatch, among_arms, expected

@@ -32,12 +32,11 @@ from coopqp import (
     simulate,
 )
 from coopqp.baselines import PseudoInverseController
-from coopqp.control.core import minding_of
-from coopqp.control.core.relax_plain import minding_scalars, minding_size, minding_views
+from coopqp.control.core.force_memory import minding_scalars, minding_size
 from coopqp.errors import StartWarning
 from coopqp.forces import Grip, LoadShare, StressModel, internal_wrenches
 from coopqp.model import CellState
-from coopqp.native import available_kernels, layout
+from coopqp.native import _core, available_kernels
 from coopqp.planning import Payload
 from coopqp.scenarios import Scenario, palm_box, paper_lift, torso_lift
 from coopqp.simulation import Disturbances, KinematicPlant, PhysicsPlant, misplaced
@@ -295,45 +294,6 @@ def test_a_grasp_that_moves_as_recorded(task: Scenario, golden: Golden) -> None:
         done.take()
 
 
-@pytest.mark.core
-@given(arms=st.integers(1, 5), seed=st.integers(0, 10**6))
-def test_core_and_definition_agree_about_what_minds_forces(arms: int, seed: int) -> None:
-    """In each stage, with and without palms: dead bands, ends of the reach, wrenches that do not come, faults."""
-    if len(available_kernels()) < 2:
-        pytest.skip("one kernel")
-    rng, size = np.random.default_rng(seed), layout.SIZES["Minding"]
-    compiled = rng.uniform(-1.0, 1.0, minding_size(arms))
-    compiled[:size] = rng.uniform(0.05, 2.0, size)
-    scalars = minding_scalars(compiled)
-    for name, value in {
-        "most_reach": scalars.most_reach * 10.0 ** rng.integers(-2, 2),
-        "force_slows": 0.5, "force_holds": rng.choice([1.0, 50.0]), "saturated": 0.0, "stepped": rng.random() < 0.9,
-        "stage": rng.integers(len(layout.STAGES)), "has_palms": rng.random() < 0.5, "sensor_arm": 0.0,
-        "sensor_fault": rng.choice([0, 0, 0, 0, layout.SENSORS.index("SENSOR_WRONG")]), "force_cap": rng.random(),
-        "wait": rng.choice([0.15, 10.0]), "why": 0.0, "why_arm": 0.0, "most_squeeze": rng.choice([0.0, 30.0]),
-    }.items():  # fmt: skip
-        setattr(scalars, name, value)
-    views = minding_views(compiled, arms)
-    views["silent"][:] = 0.0
-    views["holding"][:] = rng.random(arms) < rng.choice([0.5, 1.0])
-    views["holding"][rng.integers(arms)] = 1.0
-    if rng.random() < 0.5:  # palms that press
-        views["palms"][:, :, 3] = [0.0, 0.0, 0.5, 0.0, 0.0, 0.0]
-    plain = compiled.copy()
-    (relax, allow), (relax_plain, allow_plain) = minding_of("compiled"), minding_of("plain")
-    for _ in range(5):
-        wrenches = rng.normal(size=(arms, 6)) * 10.0 ** rng.integers(-2, 2)
-        wrenches[:, 2] += rng.choice([0.0, 5.0])
-        wrenches[rng.random(arms) < 0.3, rng.integers(6)] = np.nan
-        given = None if rng.random() < 0.1 else wrenches
-        assert relax(compiled, arms, given, 0.1) == relax_plain(plain, arms, given, 0.1)
-        np.testing.assert_allclose(compiled, plain, rtol=1e-11, atol=1e-11)
-        allow(compiled, arms, 0.1)
-        allow_plain(plain, arms, 0.1)
-        np.testing.assert_allclose(compiled, plain, rtol=1e-11, atol=1e-11)
-        scalars.last_rate = minding_scalars(plain).last_rate = rng.random()
-
-
 #: Cases that take longer than others, and their steps.
 LONG = {"palms": 340, "on a lift": 700}
 FAULTS = ("none", "noise", "lost", "late", "silent", "wrong", "out of reach", "palms", "lags", "on a lift")
@@ -448,10 +408,7 @@ def test_two_that_mind_forces_over_one_controller_keep_their_memories_apart() ->
 
 @pytest.mark.core
 def test_memory_of_another_size_is_refused_by_the_core() -> None:
-    if len(available_kernels()) < 2:
-        pytest.skip("one kernel")
-    relax, allow = minding_of("compiled")
-    memory = np.zeros(minding_size(3))
+    relax, allow, memory = _core.relax, _core.allow, np.zeros(minding_size(3))
     for call in (
         lambda: relax(memory, 2, None, 0.1),
         lambda: relax(memory, 3, np.zeros(18), 0.1),

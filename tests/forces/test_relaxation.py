@@ -10,8 +10,7 @@ import pinocchio as pin
 import pytest
 
 from coopqp import ForceController, ForceOptions, Grasp, InvalidInputError, QPController, Status, inverse_kinematics
-from coopqp.control.core.allow_plain import BY_RELEASE, NOTHING_MORE
-from coopqp.control.core.relax_plain import minding_views
+from coopqp.control.core.force_memory import BY_RELEASE, NOTHING_MORE, minding_views
 from coopqp.forces import Grip, internal_wrenches
 from coopqp.forces.admittance import Relaxation
 from coopqp.forces.holding import Holding, bearing
@@ -38,7 +37,7 @@ def shares_of(holds: Any) -> Array:
 
 def relaxation(**options: Any) -> Relaxation:
     settings = ForceOptions(**{"stiffness": STIFF, "filter_time": 0.0, "delay": 0.0, **options})
-    made = Relaxation(LIFT.cell, LIFT.grasp, settings, dt=DT, shares_of=shares_of, kernel="plain")
+    made = Relaxation(LIFT.cell, LIFT.grasp, settings, dt=DT, shares_of=shares_of)
     made.look(LIFT.q_start)
     return made
 
@@ -48,7 +47,7 @@ def of_palms(**options: Any) -> Relaxation:
     settings = ForceOptions(
         **{"stiffness": 1e4, "palms": (PALM, PALM), "squeeze": 200.0, "payload": payload, **options}
     )
-    return Relaxation(PALMS.cell, PALMS.grasp, settings, dt=DT, shares_of=shares_of, kernel="plain")
+    return Relaxation(PALMS.cell, PALMS.grasp, settings, dt=DT, shares_of=shares_of)
 
 
 def blocks(C: Array) -> Array:

@@ -2,25 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import TYPE_CHECKING
 
-from coopqp.control.core import allow_plain, relax_plain
 from coopqp.control.options import QPOptions
 from coopqp.control.step.constraint_set import Constraints
 from coopqp.errors import UnknownNameError
 from coopqp.model.cell import RobotCell
 from coopqp.model.grasp import Grasp
-from coopqp.native import _core, available_kernels
-from coopqp.spatial import Array
+from coopqp.native import available_kernels
 
 if TYPE_CHECKING:
     from coopqp.control.core.compiled import CompiledLoop
     from coopqp.control.step.plain import PlainLoop
-
-#: Memory, arms, wrenches (N, 6) or None, dt; and memory, arms, dt.
-Relax = Callable[[Array, int, Array | None, float], int]
-Allow = Callable[[Array, int, float], None]
 
 
 def make_loop(
@@ -48,11 +41,4 @@ def make_loop(
     return PlainLoop(cell, grasp, dt=dt, options=options, constraints=constraints)
 
 
-def minding_of(kernel: str) -> tuple[Relax, Allow]:
-    """Functions of a kernel for forces: the relaxation (``relax.cpp``), and the allowed rate (``allow.cpp``)."""
-    if kernel == "plain":
-        return relax_plain.relax, allow_plain.allow
-    return _core.relax, _core.allow
-
-
-__all__ = ["make_loop", "minding_of"]
+__all__ = ["make_loop"]

@@ -17,8 +17,8 @@ import pinocchio as pin
 from coopqp.constraints.cause import Cause
 from coopqp.constraints.rate import Knot
 from coopqp.constraints.velocity import ConstraintTrouble, Rows, no_rows
+from coopqp.control.core.force_memory import minding_scalars
 from coopqp.control.core.memory import NotForTheCore, build_memory, put_options, same_kinematics
-from coopqp.control.core.relax_plain import minding_scalars
 from coopqp.control.interface import ControlStep, SolverReport, Status, amend
 from coopqp.control.monitoring.supervision import as_configuration
 from coopqp.control.operator.way import Way

@@ -18,14 +18,16 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Sequence
-from typing import final
+from typing import Any, final
 
 import numpy as np
 
-from coopqp.control.core.relax_plain import RELAXING, SENSORS_FINE, back_within_room, minding_scalars, minding_views
+from coopqp.control.core.force_memory import RELAXING, SENSORS_FINE, minding_scalars, minding_views
 from coopqp.control.monitoring.drift import carried_drift, from_others
 from coopqp.control.monitoring.noise import noise_seen
 from coopqp.native.constants import (
+    CONTACT_ROOM,
+    CONTACT_WAY,
     FEW_SAMPLES,
     HASTE_FILTER,
     LARGEST_SLOPE,
@@ -83,7 +85,7 @@ class ServoWatch:
             dt: length of the step [s].
         """
         way: Array = rotation.T @ self._views["push"][3]
-        speed = back_within_room(self._scalars, float(way @ common[:3]), dt)
+        speed = _back_within_room(self._scalars, float(way @ common[:3]), dt)
         return np.concatenate([speed * way, np.zeros(3)])
 
     @property
@@ -174,3 +176,11 @@ class ServoWatch:
         for k, other in self._pairs:  # what one arm pushes moves the joints that the other shares with it
             bent[k] += x["compliances"][k, :, other] @ pushed[other] / max(m.stiffer, SOFTEST)
         return bent
+
+
+def _back_within_room(m: Any, far: float, dt: float) -> float:
+    """The speed at which an object goes back that is ``far`` from its path in that direction [m], in limited room."""
+    if math.isnan(m.back_from):
+        m.back_from = far
+    room = CONTACT_ROOM + CONTACT_WAY * m.back_speed - (far - m.back_from)
+    return float(min(m.backs, max(room, 0.0) / dt))

@@ -1,0 +1,58 @@
+"""The memory of the relaxation of forces by name; the core works on it: ``minding.h``, ``relax.cpp``, ``allow.cpp``."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+from coopqp.native import layout
+from coopqp.spatial import Array
+
+HEARD, MISSED, SILENT = range(len(layout.HEARING))
+CHECKING, PRESSING, RELAXING, MOVING = range(len(layout.STAGES))
+SENSORS_FINE, SENSOR_SILENT, SENSOR_WRONG = range(len(layout.SENSORS))
+NOTHING_MORE, BY_SENSOR, BY_REACH, BY_STAGE, BY_FRICTION, BY_FORCE, BY_CONTACT, BY_RELEASE = range(len(layout.WHYS))
+
+#: Arms that relax hold where they squeeze by this multiple of the force at the start.
+_MORE_THAN_AT_START = 1.1
+
+
+def minding_scalars(memory: Array) -> Any:
+    """The scalars of the memory, by name."""
+    return layout.Minding.from_buffer(memory)
+
+
+def minding_views(memory: Array, arms: int) -> dict[str, Array]:
+    """The parts of the memory behind its scalars, by name; :mod:`coopqp.forces.frictional_contacts` has ``palms``."""
+    n, views, at = 6 * arms, {}, layout.SIZES["Minding"]
+    shapes: tuple[tuple[str, tuple[int, ...]], ...] = (
+        ("silent", (arms,)), ("seen", (arms, 6)), ("internal", (arms, 6)), ("shift", (arms, 6)), ("drift", (arms, 6)),
+        ("target", (arms, 6)), ("squeezed", (arms, 6)),
+        ("internal_of", (n, n)), ("yields", (n, n)), ("palms", (arms, 2, 4, 6)),
+        ("felt", (arms, 6)), ("held", (arms, 6)), ("off_servos", (arms, 6)), ("off_last", (arms, 6)),
+        ("off_step", (arms, 6)), ("off_drift", (arms, 6)), ("off_noise", (arms,)),
+        ("holding", (arms,)), ("freed", (arms,)), ("compliances", (arms, 6, arms, 6)), ("carries", (n, 3)),
+        ("unfed_of", (n, n)), ("reference", (12,)), ("centre", (3,)), ("travel", (3, 3)), ("push", (5, 3)),
+    )  # fmt: skip
+    for name, shape in shapes:
+        size = math.prod(shape)
+        views[name] = memory[at : at + size].reshape(shape)
+        at += size
+    return views
+
+
+def minding_size(arms: int) -> int:
+    """Size of the memory for a number of arms."""
+    return layout.SIZES["Minding"] + 39 + (94 + 48) * arms + 144 * arms**2
+
+
+def gives_way(m: Any) -> bool:
+    """The grasps give way in this step, unless a sensor is silent for too long."""
+    return bool(m.stepped and m.stage >= RELAXING and m.sensor_fault == SENSORS_FINE)
+
+
+def squeezes(m: Any) -> bool:
+    """The arms squeeze the object while they relax, more than at the start: what should relax them pulls."""
+    if m.stage != RELAXING or m.has_palms:
+        return False
+    return bool(m.size >= m.force_holds and m.size > _MORE_THAN_AT_START * m.start_size)
