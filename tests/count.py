@@ -42,6 +42,7 @@ GLUE = (
     "coopqp/control/step/decoding.py",
     "coopqp/control/core/__init__.py",
     "coopqp/control/core/compiled.py",
+    "coopqp/control/core/force_memory.py",
     "coopqp/control/core/memory.py",
     "coopqp/native/__init__.py",
     "coopqp/native/arrays.h",

@@ -181,6 +181,43 @@ def test_a_rate_falls_in_proportion_and_rises_the_slower_the_more_is_felt() -> N
         assert minding_scalars(memory).allowed == pytest.approx(float(np.clip(wanted, cap - fall, cap + rise)))
 
 
+@pytest.mark.parametrize(("used", "allowed"), [(0.92, 0.8), (0.95, 0.5), (0.99, 0.1), (0.89, 1.0)])
+def test_friction_in_use_slows_the_object_from_nine_tenths_on(used: float, allowed: float) -> None:
+    """In a line down to rest where all of it is used; the arm whose palm uses most is named."""
+    memory = anyhow(
+        np.random.default_rng(0), 2, stage=MOVING, has_palms=1.0, size=0.0, asked=1.0, touches=0.0, stiffer=1.0,
+        force_cap=allowed + 1e-6, friction_used=used,
+    )  # fmt: skip
+    x = minding_views(memory, 2)
+    x["holding"][:], x["palms"][:], x["seen"][:] = 1.0, 0.0, 0.0
+    x["palms"][:, 0, 0, 0] = x["palms"][:, :, 3, 2] = 1.0  # |f_x| ≤ f_z
+    x["seen"][:, 2], x["seen"][:, 0] = 10.0, (5.0, 10.0 * used)
+    _core.allow(memory, 2, 0.01)
+    m = minding_scalars(memory)
+    assert m.friction_used == pytest.approx(used)
+    assert m.allowed == pytest.approx(allowed)
+    assert layout.WHYS[int(m.why)] == ("BY_FRICTION" if used > 0.9 else "NOTHING_MORE")
+    assert used < 0.9 or m.why_arm == 1
+
+
+@pytest.mark.parametrize(("share", "touches"), [(0.8, True), (0.86, False)])
+def test_what_pushes_no_harder_than_the_arms_do_each_other_is_no_contact(share: float, touches: bool) -> None:
+    """20 N on the object, of which one arm has a share: a contact is 1.2 times as hard as any internal force."""
+    memory = anyhow(
+        np.random.default_rng(0), 2, stage=MOVING, contact_limit=10.0, touches=0.0, suspected=0.0, load_mass=0.0,
+        weight_x=0.0, weight_y=0.0, weight_z=0.0, sensor_fault=layout.SENSORS.index("SENSORS_FINE"), last_speed=0.0,
+    )  # fmt: skip
+    x = minding_views(memory, 2)
+    x["holding"][:], x["target"][:], x["internal_of"][:], x["unfed_of"][:] = 1.0, 0.0, np.eye(12), np.eye(12)
+    x["reference"][:9], x["push"][0] = np.eye(3).ravel(), (20.0, 0.0, 0.0)
+    wrenches = np.zeros((2, 6))
+    wrenches[:, 0] = -20.0 * share, -20.0 * (1.0 - share)
+    _core.relax(memory, 2, wrenches, 0.004)
+    m = minding_scalars(memory)
+    assert m.pushed == pytest.approx(20.0)
+    assert bool(m.touches) is touches
+
+
 def test_an_object_begins_the_slower_the_less_its_servos_are_as_told() -> None:
     """By √ρ, stiffer or softer; at the whole rate on palms, whose pads yield, and on servos that do not answer."""
     full = 0.45
