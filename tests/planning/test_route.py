@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from itertools import combinations_with_replacement, pairwise
 from typing import Any
 
@@ -30,7 +31,7 @@ from coopqp.model.batch import ArmKinematics
 from coopqp.paths.geometry import blended
 from coopqp.planning import ArmGoal, FreeTurn, PathVerdict, Route, RouteVerdict, TurnedGoal
 from coopqp.planning.route.duration import estimated_duration
-from coopqp.planning.route.edges import EdgeLimits, columns_of, limits_with
+from coopqp.planning.route.edges import columns_of, limits_with
 from coopqp.planning.route.sampling import rounded
 from coopqp.planning.route.tree import STEP, Pose, distance, part_of
 from coopqp.scenarios import dual_arm7
@@ -240,13 +241,20 @@ def test_arguments_that_make_no_search_are_refused(posts: tuple[route_cases.Prob
 
 
 @pytest.mark.core
-def test_edges_end_where_arms_or_distances_end_and_keep_both_between_their_samples() -> None:
+@pytest.mark.parametrize(
+    ("ends_by", "narrow", "sigma_min"), [("reach", 10.0, 0.02), ("limit", 0.15, 0.02), ("singular", 10.0, 0.2)]
+)
+def test_edges_end_where_arms_or_distances_end_and_keep_both_between_their_samples(
+    ends_by: str, narrow: float, sigma_min: float
+) -> None:
     """Against kinematics of each arm alone, and distances by coal at a hundred places between two samples."""
     problem = route_cases.posts3()
     cell, grasp, scene = problem.cell, problem.grasp, problem.scene
     x = cell.positions(problem.q_start)
     required, _ = scene.required_at(x[None])
-    limits: EdgeLimits = limits_with(cell, x[None], required)
+    usual = limits_with(cell, x[None], required)
+    lower, upper = np.maximum(usual.lower, x - narrow), np.minimum(usual.upper, x + narrow)
+    limits = replace(usual, lower=lower, upper=upper, sigma_min=sigma_min)
     arms = [ArmKinematics(arm) for arm in cell.arms]
     edges, offsets = scene.edges(arms, grasp, limits), [np.array(X.homogeneous) for X in grasp.T_object_tool]
     distances, levers = Distances(scene.built), scene.required_at(x[None])[1]
@@ -315,7 +323,7 @@ def test_edges_end_where_arms_or_distances_end_and_keep_both_between_their_sampl
             assert followed(rows[n - 1], rows[n], one.positions[-1])[0] == one.stop.kind
         else:
             assert n == len(rows)
-    assert {"pair", ""} <= kinds or len(kinds) > 1
+    assert {"pair", ends_by} <= kinds
     assert {(True, True), (False, False)} <= stoppers
 
 
