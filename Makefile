@@ -15,7 +15,6 @@ SANITIZED := build/sanitized
 .PHONY: demo check quick test test-nightly lint core sanitize mutation docs bench tables pictures browser clean \
   environments lowest newest no-compiler release wheel extras import
 
-# Without COOPQP_REQUIRE_KERNEL=1 a compiler that fails is no error: coopqp then warns when it runs.
 $(VENV)/.installed: pyproject.toml CMakeLists.txt $(wildcard coopqp/native/*.cpp coopqp/native/*.h coopqp/native/*.py)
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 10) and "coopqp needs Python >= 3.10: make PYTHON=python3.x ...")'
 	$(PYTHON) -m venv $(VENV)
@@ -86,7 +85,7 @@ mutation: $(VENV)/.installed
 	$(BIN)/python tests/mutation.py --number $(MUTANTS) --json benchmarks/data/mutation.json --resume
 
 # Fresh environments below build/environments: the lowest versions, and the newest with a wheel from the source
-# distribution, with all tests; no compiler with some of make check; the wheels of a release and each extra alone with
+# distribution, with all tests; a compiler from the index with some of make check; the wheels of a release and each extra alone with
 # tests/installed.py. SOME=--some leaves slow tests out everywhere.
 environments: $(VENV)/.installed
 	$(BIN)/python .ci/environments.py $(SOME)

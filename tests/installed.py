@@ -1,8 +1,8 @@
 """What an installation can do with its extras, and what it says of those that are missing. Needs no other package.
 
-``python tests/installed.py [--kernel NAME] [--extras] [EXTRA …]`` tries everything that needs an extra: it works if the
-extra was given; else the error names it, before any work is done. Cell files are run, checked, planned and drawn
-without any; ``--extras`` leaves out what needs none.
+``python tests/installed.py [--extras] [EXTRA …]`` tries everything that needs an extra: it works if the extra was
+given; else the error names it, before any work is done. Cell files are run, checked, planned and drawn without any;
+``--extras`` leaves out what needs none.
 """
 
 from __future__ import annotations
@@ -84,7 +84,6 @@ def told(needs: set[str], given: set[str], result: subprocess.CompletedProcess[s
 def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
     parser.add_argument("extras", nargs="*", metavar="EXTRA")
-    parser.add_argument("--kernel", help="the kernel that has to compute every part")
     parser.add_argument("--extras", dest="alone", action="store_true", help="try only what needs an extra")
     arguments = parser.parse_args()
     extras = {e for e in metadata.metadata("coopqp").get_all("Provides-Extra") or [] if e not in ("dev", "mutation")}
@@ -101,9 +100,6 @@ def main() -> int:
 
     assert "site-packages" in coopqp.__file__, coopqp.__file__
     wrong = {}
-    if arguments.kernel:
-        found = coopqp.native.available_kernels()[0]
-        wrong["the kernel"] = "" if found == arguments.kernel else f"it is {found}"
     program = str(Path(sys.executable).with_name("coopqp"))
     with tempfile.TemporaryDirectory() as folder:
         os.chdir(folder)
@@ -121,9 +117,6 @@ def main() -> int:
                 pictures = len(list(Path("demo").glob("*.png"))) if Path("demo").exists() else 0
                 if "pseudo_inverse" not in result.stdout or not pictures:
                     wrong[name] = f"{pictures} pictures, says {result.stderr!r}"
-                warned = "without its compiled kernel" in result.stderr
-                if arguments.kernel and warned != (arguments.kernel == "plain"):
-                    wrong[name] = f"of the kernel it says {result.stderr!r}"
         for name, (program_text, needs) in PROGRAMS.items():
             wrong[name] = told(needs, given, done([sys.executable, "-c", program_text]))
         os.chdir("/")
