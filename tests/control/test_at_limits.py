@@ -10,7 +10,7 @@ from marks import slow_but_first
 from coopqp import Arm, Grasp, LinePath, QPController, QPOptions, Robot, RobotCell, Status
 from coopqp.errors import StartWarning
 from coopqp.model import JointLimits
-from coopqp.scenarios import robot_path
+from coopqp.scenarios import paper_lift, robot_path
 from coopqp.spatial import Array
 
 DT = 0.004
@@ -87,3 +87,19 @@ def test_arms_on_a_slow_lift_creep_on_smoothly_at_the_end_of_their_reach(speed: 
     velocities = np.array([s.velocity for s in steps[-1000:]])
     share = np.diff(velocities, axis=0) / (0.002 * cell.limits.acceleration)
     assert np.sqrt((share**2).mean(axis=0)).max() < 0.05
+
+
+@pytest.mark.filterwarnings("ignore::coopqp.errors.StartWarning")
+@pytest.mark.parametrize("acceleration", [np.inf, 5.0])
+def test_the_object_goes_on_where_its_path_leads_a_joint_back_inside(acceleration: float) -> None:
+    """Only a joint that goes further out ends what is known ahead."""
+    task = paper_lift()
+    cell, joint = task.cell.with_limits(acceleration=acceleration), 17
+    lower = cell.limits.lower.copy()
+    lower[joint] = cell.positions(task.q_start)[joint] + 0.5  # the path moves it by 1.25
+    controller = QPController(cell.with_limits(lower=lower), task.grasp, task.path, dt=0.01)
+    controller.reset(task.q_start)
+    steps = [controller.step() for _ in range(50)]
+    assert steps[-1].clock_next > 0.4
+    assert cell.positions(steps[0].q_next)[joint] < lower[joint]
+    assert steps[-1].rate == 1.0

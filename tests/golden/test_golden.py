@@ -605,6 +605,44 @@ def test_where_an_arm_is_singular_and_its_group_is_not(golden: Golden, tmp_path:
 
 
 @pytest.mark.core
+def test_where_all_arms_of_a_group_are_singular_and_it_is_not(golden: Golden, tmp_path: Path) -> None:
+    task = on_a_torso("three of a waist", tmp_path)
+    q = task.cell.positions(task.q_start)
+    for name in ("left/left_4", "right/right_4"):
+        q[task.cell.joint_names.index(name)] = 0.0
+    run = golden.start(held(task.cell, task.cell.configuration(q)), dt=0.01)
+    assert run.run(60).lowest == 1.0
+
+
+def anywhere(cell: RobotCell, seed: int, duration: float) -> Scenario:
+    """An object goes on half a metre from where the arms happen to be."""
+    rng = np.random.default_rng([seed, 1])
+    q = cell.configuration(rng.uniform(-1.3, 1.3, cell.nv))
+    start, way, turn = CellState(cell, q).T_world_tool[0], rng.normal(size=3), rng.uniform(-0.5, 0.5, 3)
+    path = LinePath.displaced(
+        start, translation=0.5 * way / np.linalg.norm(way), rotation=turn, duration=duration, time_law="linear"
+    )
+    return Scenario("anywhere", cell, grasp_at(cell, q), path, q, 0.02)
+
+
+@pytest.mark.core
+def test_where_a_group_passes_a_singularity(golden: Golden, tmp_path: Path) -> None:
+    """As slowly as joints ask for, and never to rest."""
+    cell = RobotCell([robot_of(TORSOS["lift"], tmp_path)])
+    for seed in (1, 2, 4):
+        assert 0.2 < golden.start(anywhere(cell, seed, 1.0), dt=0.02).run(45).lowest < 0.6
+
+
+@pytest.mark.core
+def test_where_a_group_brakes_before_a_singularity_that_nothing_looks_for(golden: Golden, tmp_path: Path) -> None:
+    cell = RobotCell([robot_of(TORSOS["lift"], tmp_path)]).with_limits(acceleration=4.0)
+    for seed in (5, 15, 20):
+        run = golden.start(anywhere(cell, seed, 2.0), dt=0.02, preview=None)
+        run.same = DISTURBED
+        assert 0.0 < run.run(60).lowest < 0.2
+
+
+@pytest.mark.core
 @pytest.mark.parametrize("mode", ["nominal", "measured late, with noise", "always a QP", "no preview"])
 @pytest.mark.parametrize("acceleration", [5.0, np.inf])
 def test_on_a_rail_under_arms_of_seven_joints(golden: Golden, mode: str, acceleration: float) -> None:
