@@ -15,12 +15,11 @@ import numpy.typing as npt
 from coopqp.checks import ArrayLike, as_floats
 from coopqp.errors import InvalidInputError, ModelError
 from coopqp.model.cell import Arm
-from coopqp.model.links import joint_links
+from coopqp.model.links import check_count, joint_links
 from coopqp.native import _core
+from coopqp.native.constants import MOST_JOINTS
 from coopqp.spatial import Array, Placement, as_placement, as_placements, cross
 
-#: Longest rows or columns that the core takes.
-_MOST_JOINTS = 64
 #: A solution reaches its pose within this [m, rad].
 REACHED = 1e-9
 #: Newton steps from a seed; almost all seeds that arrive take fewer.
@@ -34,7 +33,7 @@ _WALKING_STEP, _HALVINGS = 0.3, 12
 def singular_values(A: Array) -> Array:
     """Singular values of M finite matrices (M, k, l), descending (M, min(k, l)); k or l is at most 6."""
     rows, columns = A.shape[1:]
-    if max(rows, columns) > _MOST_JOINTS:
+    if max(rows, columns) > MOST_JOINTS:
         return np.asarray(np.linalg.svd(A, compute_uv=False))
     values = np.empty((len(A), min(rows, columns)))
     _core.singular_values(np.ascontiguousarray(A), rows, columns, values)
@@ -103,22 +102,26 @@ class ArmKinematics:
         numbers: the arm for the core, as ``arm.h`` lists it.
 
     Raises:
-        ModelError: a joint neither turns about an axis nor slides along one.
+        ModelError: a joint neither turns about an axis nor slides along one; or there are too many.
     """
 
     def __init__(self, arm: Arm) -> None:
         self.arm, model = arm, arm.model
         frame = model.frames[model.getFrameId(arm.tool_frame)]
         chain = [int(j) for j in model.supports[frame.parentJoint] if j]
+        check_count(arm.name, len(chain))
         try:
-            R, p, slides, aligned = joint_links(model, chain)
+            R, p, pitch, aligned = joint_links(model, chain)
+            screws = [model.names[j] for j, along in zip(chain, pitch, strict=True) if along and np.isfinite(along)]
+            if screws:
+                raise ModelError(f"joint {screws[0]} neither turns about an axis nor slides along one")
         except ModelError as error:
             raise ModelError(f"arm '{arm.name}': {error}") from error
         R[0], p[0] = arm.T_world_base.rotation @ R[0], arm.T_world_base.act(p[0])
         self.joints = tuple(model.names[j] for j in chain)
         self.columns = np.array([model.joints[j].idx_v for j in chain], dtype=np.intp)
         self.shared = np.array([j for j, name in enumerate(self.joints) if name in arm.shared], dtype=np.intp)
-        self.slides = slides != 0.0
+        self.slides = pitch != 0.0
         self.continuous = np.array([model.joints[j].nq != model.joints[j].nv for j in chain])
         self.turns = ~self.slides & ~self.continuous
         self.lower, self.upper = arm.limits.lower[self.columns], arm.limits.upper[self.columns]
@@ -127,7 +130,7 @@ class ArmKinematics:
         speed = arm.limits.velocity[self.columns]
         self.scale = np.where(np.isfinite(speed), speed, 1.0)
         weights = self.scale if len(chain) > 6 else np.ones(len(chain))
-        rows = np.column_stack([R.reshape(-1, 9), p, slides, weights / weights.max()])
+        rows = np.column_stack([R.reshape(-1, 9), p, self.slides, weights / weights.max()])
         tool = np.concatenate([(aligned.T @ frame.placement.rotation).ravel(), aligned.T @ frame.placement.translation])
         self.numbers = np.concatenate([rows.ravel(), tool])
 

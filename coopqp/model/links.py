@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from functools import lru_cache
 
@@ -10,6 +11,7 @@ import pinocchio as pin
 
 from coopqp.checks import read_only
 from coopqp.errors import ModelError
+from coopqp.native.constants import MOST_JOINTS
 from coopqp.spatial import Array, skew
 
 
@@ -31,33 +33,47 @@ def joint_links(model: pin.Model, joints: Sequence[int]) -> tuple[Array, Array, 
     """Links of joints (indices in ``model``) that follow each other, the first one on the base.
 
     Returns:
-        (R, p, slides, aligned): rotation (n, 3, 3) and origin (n, 3) [m] of each joint in the one before, both with the
-        z axis along the joint's axis; 1 for joints that slide (n,); rotation (3, 3) from the last joint's own frame.
+        (R, p, pitch, aligned): rotation (n, 3, 3) and origin (n, 3) [m] of each joint in the one before, both with the
+        z axis along the joint's axis; how far it goes along that axis as it turns (n,) [m/rad]: 0 for a joint that only
+        turns, inf for one that only slides; rotation (3, 3) from the last joint's own frame.
 
     Raises:
         ModelError: a joint does not follow the one before, or neither turns about an axis nor slides along one.
     """
-    R, p, slides = np.empty((len(joints), 3, 3)), np.empty((len(joints), 3)), np.zeros(len(joints))
+    R, p, pitch = np.empty((len(joints), 3, 3)), np.empty((len(joints), 3)), np.zeros(len(joints))
     parent, aligned = 0, np.eye(3)
     data, neutral = model.createData(), pin.neutral(model)
     for i, j in enumerate(joints):
         if model.joints[j].nv != 1 or model.parents[j] != parent:
             raise ModelError(f"joint {model.names[j]} does not follow the one before")
-        axis, slides[i] = _axis(model, j, pin.computeJointJacobian(model, data, neutral, j).reshape(6, -1))
-        placement, turned = model.jointPlacements[j], _z_to(*axis.tolist())
+        axis, pitch[i] = _axis(model, j, pin.computeJointJacobian(model, data, neutral, j).reshape(6, -1))
+        placement, turned = data.liMi[j], _z_to(*axis.tolist())
         R[i], p[i] = aligned.T @ placement.rotation @ turned, aligned.T @ placement.translation
         parent, aligned = j, turned
-    return R, p, slides, aligned
+    return R, p, pitch, aligned
 
 
-def _axis(model: pin.Model, joint: int, jacobian: Array) -> tuple[Array, bool]:
-    """The joint's axis in its own frame, and whether it slides along it, from the joint's Jacobian in its frame."""
+def check_count(arm: str, joints: int) -> None:
+    """Raise where more joints move the tool of an arm than the compiled functions take.
+
+    Raises:
+        ModelError: there are more.
+    """
+    if joints > MOST_JOINTS:
+        raise ModelError(
+            f"arm '{arm}': {joints} joints move its tool; coopqp takes up to {MOST_JOINTS}. Lock some: locked_joints."
+        )
+
+
+def _axis(model: pin.Model, joint: int, jacobian: Array) -> tuple[Array, float]:
+    """The joint's axis in its own frame, and its pitch, from the joint's Jacobian in its frame."""
     own = jacobian[:, int(model.joints[joint].idx_v)]
     linear, angular = own[:3], own[3:]
-    if abs(np.linalg.norm(angular) - 1.0) < 1e-9 and np.abs(linear).max() < 1e-9:
-        return angular, False
+    along = float(angular @ linear)
+    if abs(np.linalg.norm(angular) - 1.0) < 1e-9 and np.abs(linear - along * angular).max() < 1e-9:
+        return angular, along if abs(along) > 1e-9 else 0.0
     if abs(np.linalg.norm(linear) - 1.0) < 1e-9 and np.abs(angular).max() < 1e-9:
-        return linear, True
+        return linear, math.inf
     raise ModelError(f"joint {model.names[joint]} neither turns about an axis nor slides along one")
 
 

@@ -13,9 +13,9 @@
 #include <utility>
 
 #include "frames.h"
+#include "layout.h"
 
 #define PER_JOINT 14
-#define MOST_JOINTS 64
 #define SLIDES 12
 #define WEIGHT 13
 #define LEAST_DAMPING 1e-15

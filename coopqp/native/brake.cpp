@@ -20,9 +20,12 @@ static void floored_velocities(const Core *c, const Twists &w, Vector &v) {
             for (int j = 0; j < g->joints; j++) v[g->joint[j]] = found[j];
             continue;
         }
-        const auto [start, n] = joints_of(c, k);
-        any_inverse(ArmColumns(OfArm(c->jacobian + 6 * start, 6, n)), Given(c->scale + start, n), P, N);
-        v.segment(start, n) = P.lazyProduct(w.col(k));
+        const ArmJoints &a = joints_of(c, k);
+        double columns[6 * MOST_JOINTS], room[2][MOST_JOINTS], *own = place_for(a, v, room[0]);
+        const OfArm J(side_by_side(a, c->jacobian, 6, columns), 6, a.n);
+        any_inverse(ArmColumns(J), Given(side_by_side(a, c->scale, 1, room[1]), a.n), P, N);
+        OfJoints(own, a.n) = P.lazyProduct(w.col(k));
+        spread(a, own, v);
     }
 }
 

@@ -26,12 +26,12 @@ static ArmColumns columns_at(const Core *c, int k, const Vector3 &way) {
     return near;
 }
 
-/* The least singular value of one arm's tool Jacobian, at `way` from the point of J, and its gradient over the arm's joints. */
+/* The least singular value of one arm's tool Jacobian, at `way` from the point of J, and its gradient over the cell's joints. */
 static double singular_edge(const Core *c, int k, const Vector3 &way, double *gradient) {
     const ArmColumns near = columns_at(c, k, way);
-    const int start = (int)c->arm_start[k], n = (int)near.cols();
+    const int n = (int)near.cols();
     Vector6 u = Vector6::Zero();
-    double w[MOST_JOINTS], size = 0.0;
+    double w[MOST_JOINTS], own[MOST_JOINTS], size = 0.0;
     if (n < 6) { /* uᵀ = (J w)ᵀ / σ */
         ArmVector least;
         size = sqrt(least_by_rotations(ArmSquare(near.transpose().lazyProduct(near)), &least));
@@ -43,7 +43,8 @@ static double singular_edge(const Core *c, int k, const Vector3 &way, double *gr
         size = sqrt(size);
         for (int j = 0; j < n && size > 0.0; j++) w[j] /= size;
     }
-    edge_gradient(near, u, w, n, gradient + start);
+    edge_gradient(near, u, w, n, own);
+    for (int j = 0; j < n; j++) gradient[joint_behind(c, k, j)] = own[j];
     return size;
 }
 
@@ -53,12 +54,14 @@ static Vector3 way_to_tool(const Core *c, int k);
 static double group_edge(const Core *c, const Group &g, double *gradient) {
     ArmColumns near[MOST_SHARING];
     GroupColumns J = GroupColumns::Zero(6 * g.arms, g.joints);
+    int place[MOST_SHARING][MOST_JOINTS]; /* of each arm's joints in the group */
     for (int i = 0, own = g.shared; i < g.arms; i++) {
         near[i] = columns_at(c, g.arm[i], way_to_tool(c, g.arm[i]));
-        const Eigen::Index n = near[i].cols() - g.shared;
-        J.block(6 * i, 0, 6, g.shared) = near[i].leftCols(g.shared);
-        J.block(6 * i, own, 6, n) = near[i].rightCols(n);
-        own += (int)n;
+        int n = 0;
+        for (int j = 0; j < g.shared; j++)
+            if (g.moves[i][j]) place[i][n++] = j;
+        while (n < near[i].cols()) place[i][n++] = own++;
+        for (int j = 0; j < n; j++) J.block<6, 1>(6 * i, place[i][j]) = near[i].col(j);
     }
     GroupTwists u = GroupTwists::Zero(J.rows());
     least_by_rotations(gram_of(J), &u);
@@ -66,13 +69,12 @@ static double group_edge(const Core *c, const Group &g, double *gradient) {
     w = J.transpose().lazyProduct(u);
     const double size = w.norm();
     if (size > 0.0) w /= size;
-    for (int i = 0, own = g.shared; i < g.arms; i++) {
+    for (int i = 0; i < g.arms; i++) {
         const int n = (int)near[i].cols();
         double mine[MOST_JOINTS], part[MOST_JOINTS];
-        for (int j = 0; j < n; j++) mine[j] = j < g.shared ? w[j] : w[own + j - g.shared];
+        for (int j = 0; j < n; j++) mine[j] = w[place[i][j]];
         edge_gradient(near[i], u.segment<6>(6 * i), mine, n, part);
-        for (int j = 0; j < n; j++) gradient[joint_behind(c, g.arm[i], j)] += part[j];
-        own += n - g.shared;
+        for (int j = 0; j < n; j++) gradient[g.joint[place[i][j]]] += part[j];
     }
     return size;
 }

@@ -335,18 +335,21 @@ static int two_velocities(Core *c, const double *jacobian, const Twists &w0, con
     static const double still[MOST_JOINTS] = {};
     for (int k = 0; k < c->arms; k++) {
         if (group_of(c, k)) continue;
-        const auto [j, n] = joints_of(c, k);
+        const ArmJoints &a = joints_of(c, k);
         if (follows_way(c, k)) { /* it moves no object: its wishes are its motion */
-            for (int i = j; i < j + n; i++) v0[i] = u0 ? u0[i] : 0.0, v1[i] = u1 ? u1[i] : 0.0;
+            for (int i = 0; i < a.n; i++) v0[a.own(i)] = u0 ? u0[a.own(i)] : 0.0, v1[a.own(i)] = u1 ? u1[a.own(i)] : 0.0;
             c->least_pivot[k] = INFINITY;
             continue;
         }
-        const double *J = jacobian + 6 * j, *scale = c->scale + j;
-        const double *wish0 = u0 ? u0 + j : still, *wish1 = u1 ? u1 + j : still;
+        double columns[6 * MOST_JOINTS], units[MOST_JOINTS], room[4][MOST_JOINTS];
+        const double *J = side_by_side(a, jacobian, 6, columns), *scale = side_by_side(a, c->scale, 1, units);
+        const double *wish0 = u0 ? side_by_side(a, u0, 1, room[0]) : still, *wish1 = u1 ? side_by_side(a, u1, 1, room[1]) : still;
+        double *first = place_for(a, v0, room[2]), *other = place_for(a, v1, room[3]);
         const Vector6 own = w0.col(k), second = own1 ? Vector6(Eigen::Map<const Vector6>(own1 + 6 * k)) : w1;
-        double least = arm_velocities(J, scale, n, own, second, wish0, wish1, v0 + j, v1 + j);
-        if (!(least > 0.0)) least = far_velocities(J, scale, n, own, second, wish0, wish1, v0 + j, v1 + j);
+        double least = arm_velocities(J, scale, a.n, own, second, wish0, wish1, first, other);
+        if (!(least > 0.0)) least = far_velocities(J, scale, a.n, own, second, wish0, wish1, first, other);
         if (!(least > 0.0)) return 0;
+        spread(a, first, v0), spread(a, other, v1);
         c->least_pivot[k] = least;
     }
     for (int i = 0; i < c->groups; i++)
@@ -379,10 +382,11 @@ static int nominal_command(Core *c, double cap) {
 
 /* √det(J Jᵀ) of one arm */
 static double manipulability(const Core *c, int k, const double *positions, double *jacobian) {
-    const auto [start, n] = joints_of(c, k);
+    const ArmJoints &a = joints_of(c, k);
     const Vector3 about = Vector3::Zero();
+    double columns[6 * MOST_JOINTS];
     follow_arm(c, k, positions, &about, nullptr, jacobian);
-    const OfArm J(jacobian + 6 * start, 6, n);
+    const OfArm J(side_by_side(a, jacobian, 6, columns), 6, a.n);
     Matrix6 G = J.lazyProduct(J.transpose());
     double det = 1.0;
     for (int i = 0; i < 6; i++) { /* Gᴸᵀ: no pivots, for it is positive semidefinite */
@@ -414,11 +418,12 @@ static void posture_velocity(Core *c, const double *positions, double *v) {
             excess = fmax(excess, fabs(v[j]) / c->posture_cap[j]);
         }
     for (int k = 0; k < c->arms; k++) {
-        const auto [start, n] = joints_of(c, k);
-        const bool redundant = n > 6 || group_of(c, k);
-        for (int j = start; j < start + n && redundant; j++) {
+        const ArmJoints &a = joints_of(c, k);
+        const bool redundant = a.n > 6 || group_of(c, k);
+        for (int i = 0; i < a.n && redundant; i++) {
+            const int j = a.own(i);
             v[j] = to_target(j);
-            if (o->manipulability > 0.0 && n > 6) {
+            if (o->manipulability > 0.0 && a.n > 6) {
                 double *jacobian = c->posture_work + c->joints;
                 moved = Given(positions, c->joints);
                 moved[j] += step;

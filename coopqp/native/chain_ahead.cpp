@@ -109,7 +109,7 @@ static Trial newton_step(Core *c, double clock, double before, const double *pos
         return REJECTED;
     if (c->redundant && !evade(c, positions, slope)) return CANNOT_SAY;
     for (int k = 0; c->redundant && !(c->options->elbows > 0.0) && k < c->arms; k++)
-        if (leads_group(c, k) && (c->arm_size[k] > 6.0 || group_of(c, k))) lead_away(c, k, s.jacobian, positions, slope);
+        if (leads_group(c, k) && (joints_of(c, k).n > 6 || group_of(c, k))) lead_away(c, k, s.jacobian, positions, slope);
     if (moving) along_ways(c, clock, before, positions, step, slope);
     for (int j = 0; j < c->joints; j++) size += step[j] * step[j] + slope[j] * slope[j];
     return size < INFINITY ? FOUND : REJECTED;
@@ -169,13 +169,15 @@ static double way_to_edge(double least, double h) {
 
 /* Joint motion that takes arm k to where its reach ends, to first order: Chain.to_reach_end. */
 static void find_edge(const Core *c, int k, const Twists &jacobian, double *edge) {
-    const auto [start, n] = joints_of(c, k);
-    const OfArm J(jacobian + 6 * start, 6, n);
+    const ArmJoints &a = joints_of(c, k);
+    double columns[6 * MOST_JOINTS], room[MOST_JOINTS], *own = place_for(a, edge, room);
+    const OfArm J(side_by_side(a, jacobian, 6, columns), 6, a.n);
     Vector6 u;
     const double least = least_eigenvalue(Matrix6(J.lazyProduct(J.transpose())), &u);
-    for (int j = 0; j < n; j++) edge[start + j] = J.col(j).dot(u);
-    const double way = way_to_edge(least, slope_along(J, u, edge + start));
-    for (int j = start; j < start + n; j++) edge[j] *= way;
+    for (int j = 0; j < a.n; j++) own[j] = J.col(j).dot(u);
+    const double way = way_to_edge(least, slope_along(J, u, own));
+    for (int j = 0; j < a.n; j++) own[j] *= way;
+    spread(a, own, edge);
 }
 
 /* The same of a group. */
@@ -200,10 +202,11 @@ static void find_group_edge(const Core *c, const Group &g, const Twists &jacobia
 static void find_edges(const Core *c, int i) {
     double *edges = edges_of(c, i);
     for (int k = 0; k < c->arms; k++) {
-        const auto [start, n] = joints_of(c, k);
+        const ArmJoints &a = joints_of(c, k);
         const Group *g = group_of(c, k);
-        if (follows_way(c, k) || (n < 6 && !g)) {
-            Vector(edges + start, n, 1).setConstant(FAR_EDGE);
+        const auto none_near = [&] { for (int j = 0; j < a.n; j++) edges[a.own(j)] = FAR_EDGE; };
+        if (follows_way(c, k) || (a.n < 6 && !g)) {
+            none_near();
             continue;
         }
         bool far = c->least_pivot[k] > FAR_PIVOT && c->options->room <= FAR_ROOM;
@@ -214,7 +217,7 @@ static void find_edges(const Core *c, int i) {
             for (int j = 0; far && j < g->joints; j++) edges[g->joint[j]] = FAR_EDGE;
             if (!far) find_group_edge(c, *g, sketch_of(c).jacobian, edges);
         } else if (far) {
-            Vector(edges + start, n, 1).setConstant(FAR_EDGE);
+            none_near();
         } else {
             find_edge(c, k, sketch_of(c).jacobian, edges);
         }

@@ -219,10 +219,10 @@ MOST_MINDING = 64  # arms
 # -- sizes of the memory -----------------------------------------------------------------------------------------------
 MOST_KNOTS = 1024  # that the look-ahead keeps
 MOST_TRAVELS = 32  # ends of steps that are kept for the trail until it is read
-MOST_JOINTS = 16  # of an arm
-MOST_SHARING = 4  # arms of one group, which share joints,
-MOST_SHARED = 6  # and these joints
-MOST_GROUP_JOINTS = 40  # of all arms of a group
+MOST_JOINTS = 64  # of an arm
+MOST_SHARING = 8  # arms of one group, which share joints,
+MOST_GROUP_JOINTS = 64  # and joints of all of them
+MOST_SHARED = 6  # a group with more joints that are shared is not inverted arm by arm
 MOST_KINKS = 64  # clocks at which the twist of a user's path was found to jump, that are kept
 SEGMENT = 29  # numbers of a segment, see ObjectPath.packed
 SHIFT = 8  # numbers of a shift of the path, see unshifted

@@ -42,11 +42,23 @@
 /* Whether no row can bind; how many rows there are; whether the command has made them tighter; to look around. */
 enum Question { ASK_CLEAR, ASK_ROWS, ASK_TIGHTER, ASK_SURVEY };
 
-/* Arms that share joints: one redundant arm. The shared joints come before every arm's own, and move all of its tools. */
+/* The joints that move the tool of an arm, from the base on: those that it shares, then its own. */
+struct ArmJoints {
+    int shared, n;  /* how many it shares, and has of its own */
+    int start;      /* its first own joint; */
+    bool in_line;   /* the others follow it: no joint that moves no tool stands between them */
+    int joint[MOST_JOINTS];
+
+    int own(int i) const { return joint[shared + i]; }
+};
+
+/* Arms that share joints: one redundant arm. */
 struct Group {
     int arms, shared, joints; /* joints: the shared ones and all arms' own */
+    bool in_line, by_arms;    /* each shared joint moves all tools; the group may be inverted arm by arm */
     int arm[MOST_SHARING];
     int joint[MOST_GROUP_JOINTS]; /* the shared ones, then each arm's own */
+    bool moves[MOST_SHARING][MOST_GROUP_JOINTS]; /* whether each shared joint moves the tool of each arm */
 };
 
 struct Core {
@@ -59,6 +71,7 @@ struct Core {
 #undef MEMBER
     int arms = 0, joints = 0, nq = 0, unknowns = 0, rows = 0, past = 0; /* rows: further rows that fit; past: samples in `history` */
     int redundant = 0, few = 0, looks_ahead = 0; /* few: some arm has fewer than six joints */
+    const ArmJoints *arm_joints = nullptr;
     int groups = 0; /* of arms that share joints */
     const Group *group = nullptr;
     int users_path = 0; /* the path is no one of the library: it may jump or bend where no breakpoint tells */

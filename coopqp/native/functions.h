@@ -6,29 +6,32 @@
 #include "core.h"
 #include "spatial.h"
 
-/* The joints of an arm. */
-struct Joints {
-    int start, n;
-};
-/* Its own ones, which follow each other. */
-static inline Joints joints_of(const Core *c, int k) { return {(int)c->arm_start[k], (int)c->arm_size[k]}; }
+static inline const ArmJoints &joints_of(const Core *c, int k) { return c->arm_joints[k]; }
+/* Numbers of an arm's own joints side by side, `width` of each: where they are, or in `room` if they are not in line. */
+static inline const double *side_by_side(const ArmJoints &a, const double *of, int width, double *room) {
+    if (a.in_line) return of + width * a.start;
+    for (int i = 0; i < a.n; i++) memcpy(room + width * i, of + width * a.own(i), sizeof(double) * (size_t)width);
+    return room;
+}
+/* Where numbers of them are put side by side; `spread` puts these where they belong. */
+static inline double *place_for(const ArmJoints &a, double *to, double *room) { return a.in_line ? to + a.start : room; }
+static inline void spread(const ArmJoints &a, const double *from, double *to) {
+    for (int i = 0; !a.in_line && i < a.n; i++) to[a.own(i)] = from[i];
+}
 /* The group of arm k; nullptr where it shares no joints. */
 static inline const Group *group_of(const Core *c, int k) {
     return c->groups && c->arm_group[k] >= 0.0 ? c->group + (int)c->arm_group[k] : nullptr;
 }
 /* Of the joints that move the tool of arm k, from the base on: how many are shared, how many there are, and one of them. */
-static inline int shared_before(const Core *c, int k) { return group_of(c, k) ? group_of(c, k)->shared : 0; }
-static inline int joints_behind(const Core *c, int k) { return shared_before(c, k) + (int)c->arm_size[k]; }
-static inline int joint_behind(const Core *c, int k, int i) {
-    const int shared = shared_before(c, k);
-    return i < shared ? group_of(c, k)->joint[i] : (int)c->arm_start[k] + i - shared;
-}
+static inline int shared_before(const Core *c, int k) { return joints_of(c, k).shared; }
+static inline int joints_behind(const Core *c, int k) { return joints_of(c, k).shared + joints_of(c, k).n; }
+static inline int joint_behind(const Core *c, int k, int i) { return joints_of(c, k).joint[i]; }
 /* The joints of arm k, or of all of its group. */
 static inline int joints_together(const Core *c, int k) {
-    return group_of(c, k) ? group_of(c, k)->joints : (int)c->arm_size[k];
+    return group_of(c, k) ? group_of(c, k)->joints : joints_of(c, k).n;
 }
 static inline int joint_together(const Core *c, int k, int i) {
-    return group_of(c, k) ? group_of(c, k)->joint[i] : (int)c->arm_start[k] + i;
+    return group_of(c, k) ? group_of(c, k)->joint[i] : joints_of(c, k).own(i);
 }
 /* Whether arm k stands for all of its group, or for itself. */
 static inline bool leads_group(const Core *c, int k) { return !group_of(c, k) || group_of(c, k)->arm[0] == k; }

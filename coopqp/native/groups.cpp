@@ -15,10 +15,11 @@ using GroupGram = Eigen::Matrix<double, Eigen::Dynamic, Eigen::Dynamic, 0, 6 * M
 static GroupColumns stacked(const Core *c, const Group &g, const double *jacobian) {
     GroupColumns J = GroupColumns::Zero(6 * g.arms, g.joints);
     for (int i = 0, own = g.shared; i < g.arms; i++) {
-        const int k = g.arm[i], n = (int)c->arm_size[k];
-        for (int j = 0; j < g.shared; j++) J.block<6, 1>(6 * i, j) = Eigen::Map<const Vector6>(jacobian + 6 * g.joint[j]);
-        for (int j = 0; j < n; j++)
-            J.block<6, 1>(6 * i, own + j) = Eigen::Map<const Vector6>(jacobian + 6 * ((int)c->arm_start[k] + j));
+        const int n = joints_of(c, g.arm[i]).n;
+        const auto put = [&](int j) { J.block<6, 1>(6 * i, j) = Eigen::Map<const Vector6>(jacobian + 6 * g.joint[j]); };
+        for (int j = 0; j < g.shared; j++)
+            if (g.moves[i][j]) put(j);
+        for (int j = own; j < own + n; j++) put(j);
         own += n;
     }
     return J;
@@ -61,31 +62,35 @@ static inline double dot(const double *a, const double *b, int n) {
     return sum;
 }
 
-/* t and C of arm k, A⁺ [w₀ w₁ B] near its wishes, B the shared joints' columns; their part of S and x. For so many shared, and own
- * joints, 0 for any number. False if the arm is near a singularity. */
+/* t and C of a group's arm m, A⁺ [w₀ w₁ B] near its wishes, B the columns of the shared joints that move its tool; their part of
+ * S and x. For so many shared, and own joints, 0 for any number. False if the arm is near a singularity. */
 template <int SHARED, int OWN>
-static bool add_arm(Core *c, const Group &g, int k, const double *jacobian, const TwoWishes &given, OwnColumns &X,
+static bool add_arm(Core *c, const Group &g, int m, const double *jacobian, const TwoWishes &given, OwnColumns &X,
                     SharedSquare &S, SharedPair &x) {
     constexpr int PAIRS = 1 + ((SHARED > 0 ? SHARED : MOST_SHARED) + 1) / 2;
-    const int start = (int)c->arm_start[k], n = OWN > 0 ? OWN : (int)c->arm_size[k];
-    const int shared = SHARED > 0 ? SHARED : g.shared;
-    const double *own = jacobian + 6 * start;
-    const double *wishes[2] = {given.u[0] ? given.u[0] + start : nullptr, given.u[1] ? given.u[1] + start : nullptr};
+    const int k = g.arm[m], shared = SHARED > 0 ? SHARED : g.shared;
+    const ArmJoints &joints = joints_of(c, k);
+    const int n = OWN > 0 ? OWN : joints.n;
+    double columns[6 * MOST_JOINTS], room[3][MOST_JOINTS];
+    const double *own = side_by_side(joints, jacobian, 6, columns), *scale = side_by_side(joints, c->scale, 1, room[2]);
+    const double *wishes[2];
+    for (int side = 0; side < 2; side++)
+        wishes[side] = given.u[side] ? side_by_side(joints, given.u[side], 1, room[side]) : nullptr;
     Vector6 twists[2] = {given.twist(0, k), given.twist(1, k)};
     ArmColumns weighted;
     Rows<PAIRS> A;
     const auto put = [&A](int i, int column, double value) { A[i][column / 2][column % 2] = value; };
     if constexpr (OWN != 6) {
         const OfArm J(own, 6, n);
-        weighted = J * Given(c->scale + start, n).cwiseAbs2().asDiagonal();
-        gram6<PAIRS>(own, c->scale + start, n, A);
+        weighted = J * Given(scale, n).cwiseAbs2().asDiagonal();
+        gram6<PAIRS>(own, scale, n, A);
         for (int side = 0; side < 2; side++)
             if (wishes[side]) twists[side] -= J.lazyProduct(Given(wishes[side], n));
     }
     for (int i = 0; i < 6; i++) {
         for (int j = 0; OWN == 6 && j < 6; j++) put(i, j, own[6 * j + i]);
         A[i][3] = pair{twists[0][i], twists[1][i]};
-        for (int j = 0; j < 2 * PAIRS - 2; j++) put(i, 8 + j, j < shared ? jacobian[6 * g.joint[j] + i] : 0.0);
+        for (int j = 0; j < 2 * PAIRS - 2; j++) put(i, 8 + j, j < shared && g.moves[m][j] ? jacobian[6 * g.joint[j] + i] : 0.0);
     }
     const double least = OWN == 6 ? solve6<PAIRS>(A) : solve_gram6<PAIRS>(A);
     c->least_pivot[k] = OWN == 6 ? least : sqrt(least);
@@ -101,7 +106,6 @@ static bool add_arm(Core *c, const Group &g, int k, const double *jacobian, cons
             if (b < 2 && wishes[b]) column += Given(wishes[b], n);
         }
     }
-    const double *scale = c->scale + start;
     for (int a = 0; a < shared; a++) {
         double along[MOST_JOINTS];
         for (int j = 0; j < n; j++) along[j] = X[2 + a][j] / (scale[j] * scale[j]);
@@ -132,14 +136,14 @@ static inline void solve_shared(SharedSquare &S, SharedPair &b, int n) {
 /* v_k = t_k − C_k v_s */
 template <int SHARED, int OWN>
 static void put_arm(const Core *c, const Group &g, int k, const OwnColumns &X, const SharedPair &x, double *const v[2]) {
-    const int start = (int)c->arm_start[k], n = OWN > 0 ? OWN : (int)c->arm_size[k];
-    const int shared = SHARED > 0 ? SHARED : g.shared;
+    const ArmJoints &joints = joints_of(c, k);
+    const int n = OWN > 0 ? OWN : joints.n, shared = SHARED > 0 ? SHARED : g.shared;
     for (int side = 0; side < 2; side++) {
         double own[MOST_JOINTS];
         for (int j = 0; j < n; j++) own[j] = X[side][j];
         for (int a = 0; a < shared; a++)
             for (int j = 0; j < n; j++) own[j] -= X[2 + a][j] * x[a][side];
-        for (int j = 0; j < n; j++) v[side][start + j] = own[j];
+        for (int j = 0; j < n; j++) v[side][joints.own(j)] = own[j];
     }
 }
 
@@ -157,16 +161,15 @@ static bool arm_by_arm(Core *c, const Group &g, const double *jacobian, const Tw
         for (int side = 0; side < 2; side++) x[a][side] = given.u[side] ? per * given.u[side][g.joint[a]] : 0.0;
     }
     for (int i = 0; i < g.arms; i++) {
-        const int k = g.arm[i];
-        if (!(c->arm_size[k] == 6.0 ? add_arm<SHARED, 6>(c, g, k, jacobian, given, X[i], S, x)
-                                    : add_arm<SHARED, 0>(c, g, k, jacobian, given, X[i], S, x)))
+        if (!(joints_of(c, g.arm[i]).n == 6 ? add_arm<SHARED, 6>(c, g, i, jacobian, given, X[i], S, x)
+                                            : add_arm<SHARED, 0>(c, g, i, jacobian, given, X[i], S, x)))
             return false;
     }
     solve_shared(S, x, SHARED > 0 ? SHARED : g.shared);
     for (int side = 0; side < 2; side++)
         for (int a = 0; a < g.shared; a++) v[side][g.joint[a]] = x[a][side];
     for (int i = 0; i < g.arms; i++) {
-        if (c->arm_size[g.arm[i]] == 6.0) put_arm<SHARED, 6>(c, g, g.arm[i], X[i], x, v);
+        if (joints_of(c, g.arm[i]).n == 6) put_arm<SHARED, 6>(c, g, g.arm[i], X[i], x, v);
         else put_arm<SHARED, 0>(c, g, g.arm[i], X[i], x, v);
     }
     return true;
@@ -195,15 +198,13 @@ static int group_velocities(Core *c, const Group &g, const double *jacobian, con
                             const double *u0, const double *u1, double *v0, double *v1) {
     const TwoWishes given = {{w0, w1}, {u0, u1}, own};
     double *const v[2] = {v0, v1};
-    const bool found = g.shared == 1 ? arm_by_arm<1>(c, g, jacobian, given, v) : arm_by_arm<0>(c, g, jacobian, given, v);
+    const bool found = g.by_arms && (g.shared == 1 ? arm_by_arm<1>(c, g, jacobian, given, v) : arm_by_arm<0>(c, g, jacobian, given, v));
     return found || all_at_once(c, g, jacobian, given, v);
 }
 
 /* Rows of base and columns of a group, as arm_columns; T has ν, and c_p and the object's directions, which all arms share. */
 static void group_columns(Core *c, const Group &g, int z, TenTwists T, double cap) {
     const Matrix3 &R = c->pose->R;
-    const int extra = std::max(g.joints - 6 * g.arms, 0);
-    const Given unit(c->unit, c->unknowns);
     const GroupVector scale = gathered(g, c->scale);
     GroupRows P;
     GroupSquare N;
@@ -221,13 +222,8 @@ static void group_columns(Core *c, const Group &g, int z, TenTwists T, double ca
     X.col(6) += N.lazyProduct(along);
     X.col(9) += N.lazyProduct(rest);
     for (int i = 0; i < g.joints; i++) {
-        auto row = columns_of(c).row(g.joint[i]);
-        row.setZero();
-        row.head<6>() = X.row(i).head<6>().cwiseProduct(unit.head<6>().transpose());
-        row.segment<3>(6) = -X.row(i).segment<3>(6).cwiseProduct(unit.segment<3>(6).transpose());
-        if (extra) row.segment(z, extra) = self_motion_unit(c, z) * N.row(i);
+        put_joint(c, g.joint[i], X.row(i), N.row(i), z, cap);
         for (int k = 0; may_part(c) && k < g.arms; k++)
             put_parting(c, g.arm[k], g.joint[i], i, P.template middleCols<6>(6 * k));
-        c->base[g.joint[i]] = X(i, 9) + X(i, 7) + X(i, 8) + cap * X(i, 6);
     }
 }

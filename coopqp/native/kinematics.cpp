@@ -26,33 +26,41 @@ static void stay_near(Core *c, const double *positions) {
 
 /* Over joint j: the frame behind it, and its column of J. */
 static inline void pass_joint(const Core *c, int j, const double *positions, const Vector3 *about, Frame &f, double *jacobian) {
-    const bool slides = c->prismatic[j] != 0.0;
+    const double pitch = c->pitch[j];
+    const bool slides = pitch == INFINITY;
     double s = 0.0, co = 1.0;
     if (!slides) turn(c, j, positions[j], &s, &co);
     advance(f, c->link_R + 9 * j, c->link_p + 3 * j, slides, positions[j], s, co);
     if (jacobian) twist_of(f.axis(), f.origin(), slides, *about, jacobian + 6 * j);
+    if (slides || pitch == 0.0) return;
+    f.p += f.z * (pitch * positions[j]);
+    if (jacobian) Eigen::Map<Vector3>(jacobian + 6 * j) += pitch * f.axis();
 }
 
 /* Columns of J of an arm's own joints, the twists that they give to a point, in world axes; and the object as it carries it. From
  * the frame before them. */
 static inline void follow_own(const Core *c, int k, Frame f, const double *positions, const Vector3 *about, Pose *O,
                               double *jacobian) {
-    const auto [start, n] = joints_of(c, k);
-    for (int j = start; j < start + n; j++) pass_joint(c, j, positions, about, f, jacobian);
+    const ArmJoints &a = joints_of(c, k);
+    for (int i = 0; i < a.n; i++) pass_joint(c, a.own(i), positions, about, f, jacobian);
     if (O) *O = held_at(f, c->object[k]);
 }
 
-/* The same of all joints that move its tool. */
+/* The same of all joints that move its tool, which may be shared. */
 static void follow_arm(const Core *c, int k, const double *positions, const Vector3 *about, Pose *O, double *jacobian) {
     Frame f;
     for (int i = 0; i < shared_before(c, k); i++) pass_joint(c, joint_behind(c, k, i), positions, about, f, jacobian);
     follow_own(c, k, f, positions, about, O, jacobian);
 }
 
+/* Whether the joints of arm k are followed by themselves: not where all arms of a group have the same joints before their own. */
+static bool by_itself(const Core *c, int k) { return !group_of(c, k) || !group_of(c, k)->in_line; }
+
 static void follow_groups(const Core *c, const double *positions, const Vector3 *about, Pose *carried, double *jacobian) {
     for (int i = 0; i < c->groups; i++) {
         const Group &g = c->group[i];
         Frame f;
+        if (!g.in_line) continue;
         for (int j = 0; j < g.shared; j++) pass_joint(c, g.joint[j], positions, about, f, jacobian);
         for (int j = 0; j < g.arms; j++)
             follow_own(c, g.arm[j], f, positions, about, carried ? carried + g.arm[j] : nullptr, jacobian);
@@ -61,7 +69,7 @@ static void follow_groups(const Core *c, const double *positions, const Vector3 
 
 static void carry(const Core *c, const double *positions, Pose *carried) {
     for (int k = 0; k < c->arms; k++)
-        if (!group_of(c, k)) follow_arm(c, k, positions, nullptr, carried + k, nullptr);
+        if (by_itself(c, k)) follow_arm(c, k, positions, nullptr, carried + k, nullptr);
     follow_groups(c, positions, nullptr, carried, nullptr);
     carry_with_others(c, carried);
 }
@@ -69,7 +77,7 @@ static void carry(const Core *c, const double *positions, Pose *carried) {
 static void carry_and_linearise(const Core *c, const double *positions, const Vector3 &about, Pose *carried,
                                 double *jacobian) {
     for (int k = 0; k < c->arms; k++)
-        if (!group_of(c, k)) follow_arm(c, k, positions, &about, carried ? carried + k : nullptr, jacobian);
+        if (by_itself(c, k)) follow_arm(c, k, positions, &about, carried ? carried + k : nullptr, jacobian);
     follow_groups(c, positions, &about, carried, jacobian);
     if (carried) carry_with_others(c, carried);
 }

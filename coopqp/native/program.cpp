@@ -78,26 +78,40 @@ static bool may_part(const Core *c) { return c->width > c->unknowns; }
 /* Unit of self-motions. */
 static double self_motion_unit(const Core *c, int z) { return may_part(c) ? c->options->calm_unit : c->unit[z]; }
 
-/* Rows of base and columns of one arm; z is the first of its null-space unknowns. */
-static void arm_columns(Core *c, int k, int z, const ArmRows6 &P, const ArmSquare &N, const TenTwists &T, double cap) {
-    const auto [start, n] = joints_of(c, k);
-    const int extra = std::max(n - 6, 0);
-    auto rows = columns_of(c).middleRows(start, n);
+/* Base and columns of a joint, from its rows of the velocities for the ten twists, and of self-motions, whose unknowns begin at z. */
+template <typename TenVelocities, typename SelfMotions>
+static void put_joint(Core *c, int joint, const TenVelocities &x, const SelfMotions &n, int z, double cap) {
     const Given unit(c->unit, c->unknowns);
+    auto row = columns_of(c).row(joint);
+    row.setZero();
+    row.template head<6>() = x.template head<6>().cwiseProduct(unit.head<6>().transpose());
+    row.template segment<3>(6) = -x.template segment<3>(6).cwiseProduct(unit.segment<3>(6).transpose());
+    if (n.size()) row.segment(z, n.size()) = self_motion_unit(c, z) * n;
+    c->base[joint] = x[9] + x[7] + x[8] + cap * x[6];
+}
+
+/* Rows of base and columns of one arm; z is the first of its null-space unknowns. */
+static void arm_columns(Core *c, int k, int z, const TenTwists &T, double cap) {
+    const ArmJoints &a = joints_of(c, k);
+    double columns[6 * MOST_JOINTS], room[3][MOST_JOINTS];
+    const OfArm J(side_by_side(a, c->jacobian, 6, columns), 6, a.n);
+    const auto own = [&](const double *of, double *place) { return Given(side_by_side(a, of, 1, place), a.n); };
+    const Given scale = own(c->scale, room[0]);
+    ArmRows6 P;
+    ArmSquare N;
+    any_inverse(ArmColumns(J), scale, P, N);
     Eigen::Matrix<double, Eigen::Dynamic, 10, 0, MOST_JOINTS, 10> X = P.lazyProduct(T);
-    if (extra) { /* the wishes' coordinates in the null-space */
-        const ArmSquare per = c->scale.segment(start, n).cwiseAbs2().cwiseInverse().asDiagonal() * N;
-        const ArmVector along = per.transpose().lazyProduct(c->null_along.segment(start, n));
-        const ArmVector rest = per.transpose().lazyProduct(c->null_offset.segment(start, n));
+    if (a.n > 6) { /* the wishes' coordinates in the null-space */
+        const ArmSquare per = scale.cwiseAbs2().cwiseInverse().asDiagonal() * N;
+        const ArmVector along = per.transpose().lazyProduct(own(c->null_along, room[1]));
+        const ArmVector rest = per.transpose().lazyProduct(own(c->null_offset, room[2]));
         X.col(6) += N.lazyProduct(along);
         X.col(9) += N.lazyProduct(rest);
     }
-    rows.setZero();
-    rows.leftCols<6>() = X.leftCols<6>() * unit.head<6>().asDiagonal();
-    rows.middleCols<3>(6) = -X.middleCols<3>(6) * unit.segment<3>(6).asDiagonal();
-    rows.middleCols(z, extra) = (extra ? self_motion_unit(c, z) : 0.0) * N;
-    for (int j = 0; may_part(c) && j < n; j++) put_parting(c, k, start + j, j, P);
-    Vector(c->base + start, n, 1) = X.col(9) + X.col(7) + X.col(8) + cap * X.col(6);
+    for (int i = 0; i < a.n; i++) {
+        put_joint(c, a.own(i), X.row(i), N.row(i), z, cap);
+        if (may_part(c)) put_parting(c, k, a.own(i), i, P);
+    }
 }
 
 /* Fill base and columns, of joints and further rows, of a chain that may part or not. False where a number is not finite. */
@@ -108,8 +122,6 @@ static bool condense(Core *c, double cap, bool parts) {
     TenTwists T = TenTwists::Zero();
     Vector base(c->base, all, 1);
     OfRows columns = columns_of(c);
-    ArmRows6 P;
-    ArmSquare N;
     int z = TWIST_AND_SHARES;
     if (some_have_few(c))
         for (int i = 0; i < 6; i++) T.col(i) = turned(R, admitted_twist(c, i)) / c->unit[i];
@@ -125,19 +137,19 @@ static bool condense(Core *c, double cap, bool parts) {
             z += std::max(g->joints - 6 * g->arms, 0);
             continue;
         }
-        const auto [start, n] = joints_of(c, k);
-        if (follows_way(c, k)) {
-            base.segment(start, n) = cap * c->null_along.segment(start, n) + c->null_offset.segment(start, n);
-            columns.middleRows(start, n).col(6) = -c->unit[6] * c->null_along.segment(start, n);
-            z += std::max(n - 6, 0);
-            continue;
+        const ArmJoints &a = joints_of(c, k);
+        const int first = z;
+        z += std::max(a.n - 6, 0);
+        for (int i = 0; follows_way(c, k) && i < a.n; i++) {
+            const int j = a.own(i);
+            base[j] = cap * c->null_along[j] + c->null_offset[j];
+            columns(j, 6) = -c->unit[6] * c->null_along[j];
         }
+        if (follows_way(c, k)) continue;
         if (grasps_move(c)) T.col(6) = turned(R, c->own_along.col(k));
         T.col(7) = turned(R, c->grasp.col(k));
         T.col(9) = turned(R, c->offsets.col(k));
-        any_inverse(ArmColumns(OfArm(c->jacobian + 6 * start, 6, n)), Given(c->scale + start, n), P, N);
-        arm_columns(c, k, z, P, N, T, cap);
-        z += std::max(n - 6, 0);
+        arm_columns(c, k, first, T, cap);
     }
     for (int r = 0; r < c->further_rows; r++) {
         const Eigen::Map<const Eigen::RowVectorXd> G(c->further + joints * r, joints);

@@ -8,9 +8,9 @@ static double way_from(const Core *c, const double *x, const double *centre, con
     double first = 0.0, second = 0.0, shared = 0.0;
     const auto way_of = [&](int j) { return reach[j] * (fabs(x[j] - centre[j]) + (v ? h * fabs(v[j]) : 0.0)); };
     for (int k = 0; k < c->arms; k++) {
-        const int start = (int)c->arm_start[k], end = start + (int)c->arm_size[k];
+        const ArmJoints &a = joints_of(c, k);
         double way = 0.0;
-        for (int j = start; j < end; j++) way += way_of(j);
+        for (int i = 0; i < a.n; i++) way += way_of(a.own(i));
         if (way > first)
             second = first, first = way;
         else

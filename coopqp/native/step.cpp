@@ -286,9 +286,11 @@ static int twists_made(Core *c, const Vector &v, double h) {
 /* b_k = A_k v less the twists made, of arm k, in the reference object frame. */
 static Vector6 defect(const Core *c, int k, const Vector &v) {
     if (follows_way(c, k)) return Vector6::Zero();
-    const auto [start, n] = joints_of(c, k);
-    Vector6 missed = c->jacobian.middleCols(start, n).lazyProduct(v.segment(start, n)) - c->made.col(k);
-    for (int i = 0; i < shared_before(c, k); i++) missed += v[joint_behind(c, k, i)] * c->jacobian.col(joint_behind(c, k, i));
+    const ArmJoints &a = joints_of(c, k);
+    double columns[6 * MOST_JOINTS], room[MOST_JOINTS];
+    const OfArm J(side_by_side(a, c->jacobian, 6, columns), 6, a.n);
+    Vector6 missed = J.lazyProduct(Given(side_by_side(a, v, 1, room), a.n)) - c->made.col(k);
+    for (int i = 0; i < a.shared; i++) missed += v[a.joint[i]] * c->jacobian.col(a.joint[i]);
     return turned_back(c->pose->R, missed);
 }
 

@@ -29,6 +29,7 @@ struct Field {
 struct BoundCore : Core {
     const Arithmetic *can = nullptr;
     std::vector<Field> fields;   /* in `memory` */
+    std::vector<ArmJoints> all_arms;
     std::vector<Group> all_groups;
     Field state_block = {};      /* all that is the state */
     double *memory = nullptr;
@@ -112,48 +113,74 @@ static nb::dict fields_of(const BoundCore &self) {
     return found;
 }
 
-/* Take the groups of arms that share joints: the group of each arm, and that of each joint that is shared, −1 for none; false if
- * they are too large. */
-static bool take_groups(BoundCore *c, const In &of_arm, const In &of_joint) {
-    double last = -1.0;
-    for (int k = 0; k < c->arms; k++) c->arm_group[k] = of_arm.data[k], last = of_arm.data[k] > last ? of_arm.data[k] : last;
-    if (!(last < c->arms)) return false;
-    for (int i = 0; i <= (int)last; i++) {
-        Group g = {};
-        for (int j = 0; j < c->joints; j++)
-            if (of_joint.data[j] == i) {
-                if (g.shared == MOST_SHARED) return false;
-                g.joint[g.shared++] = j;
-            }
-        g.joints = g.shared;
-        for (int k = 0; k < c->arms; k++) {
-            if (of_arm.data[k] != i) continue;
-            const int n = (int)c->arm_size[k];
-            if (g.arms == MOST_SHARING || g.joints + n > MOST_GROUP_JOINTS || g.shared + n > MOST_JOINTS) return false;
-            g.arm[g.arms++] = k;
-            for (int j = 0; j < n; j++) g.joint[g.joints++] = (int)c->arm_start[k] + j;
-        }
-        if (!g.shared || g.arms < 2) return false;
-        c->all_groups.push_back(g);
+/* Take the joints that move the tool of arm k, in the order of their numbers, which is that from the base on: whether each does,
+ * and how many tools each moves. False if there are none of its own, too many, or some before the shared ones. */
+static bool take_arm(BoundCore *c, int k, const double *moves, const std::vector<int> &tools) {
+    ArmJoints a = {};
+    for (int j = 0; j < c->joints; j++) {
+        if (moves[j] == 0.0) continue;
+        if (a.shared + a.n == MOST_JOINTS || (tools[(size_t)j] > 1 && a.n > 0)) return false;
+        a.joint[a.shared + a.n] = j;
+        (tools[(size_t)j] > 1 ? a.shared : a.n)++;
     }
-    c->groups = (int)c->all_groups.size(), c->group = c->all_groups.data();
+    if (a.n == 0 || (a.shared > 0 && !(c->arm_group[k] >= 0.0))) return false;
+    a.start = a.own(0), a.in_line = a.own(a.n - 1) == a.start + a.n - 1;
+    c->arm_start[k] = a.start, c->arm_size[k] = a.n;
+    c->all_arms.push_back(a);
     return true;
 }
 
-/* Take how the joints are shared out; false if an arm's do not lie inside the vectors, or make other unknowns. */
-static bool take_joints(BoundCore *c, const In &start, const In &size, const In &of_arm, const In &of_joint, const In &q_index,
-                        const In &continuous) {
-    int unknowns = TWIST_AND_SHARES;
+/* Take a group of arms that share joints; false if it is too large, or none. */
+static bool take_group(BoundCore *c, int number, const double *moves, const std::vector<int> &tools) {
+    Group g = {};
     for (int k = 0; k < c->arms; k++) {
-        const double first = c->arm_start[k] = start.data[k], count = c->arm_size[k] = size.data[k];
-        if (!(first >= 0 && count >= 1 && count <= MOST_JOINTS && first + count <= c->joints)) return false;
+        if (c->arm_group[k] != number) continue;
+        if (g.arms == MOST_SHARING) return false;
+        g.arm[g.arms++] = k;
     }
-    if (!take_groups(c, of_arm, of_joint)) return false;
+    g.in_line = g.by_arms = true;
+    for (int j = 0; j < c->joints; j++) {
+        bool any = false;
+        for (int i = 0; i < g.arms; i++) any |= tools[(size_t)j] > 1 && moves[g.arm[i] * c->joints + j] != 0.0;
+        if (!any) continue;
+        if (g.shared == MOST_GROUP_JOINTS) return false;
+        for (int i = 0; i < g.arms; i++) g.in_line &= g.moves[i][g.shared] = moves[g.arm[i] * c->joints + j] != 0.0;
+        g.joint[g.shared++] = j;
+    }
+    g.joints = g.shared;
+    for (int i = 0; i < g.arms; i++) {
+        const ArmJoints &a = c->all_arms[(size_t)g.arm[i]];
+        if (a.shared == 0 || g.joints + a.n > MOST_GROUP_JOINTS) return false;
+        for (int j = 0; j < a.n; j++) g.joint[g.joints++] = a.own(j);
+        g.by_arms &= a.n >= 6;
+    }
+    g.by_arms &= g.shared <= MOST_SHARED;
+    c->all_groups.push_back(g);
+    return g.arms > 1;
+}
+
+/* Take which joints move which tools (arms, joints), and the group of each arm, −1 for none; false if they do not lie inside the
+ * vectors, or make other unknowns. */
+static bool take_joints(BoundCore *c, const In &moves, const In &of_arm, const In &q_index, const In &continuous) {
+    int unknowns = TWIST_AND_SHARES;
+    double last = -1.0;
+    std::vector<int> tools((size_t)c->joints);
+    for (int k = 0; k < c->arms; k++) {
+        c->arm_group[k] = of_arm.data[k], last = of_arm.data[k] > last ? of_arm.data[k] : last;
+        for (int j = 0; j < c->joints; j++) tools[(size_t)j] += moves.data[k * c->joints + j] != 0.0;
+    }
+    if (!(last < c->arms)) return false;
+    for (int k = 0; k < c->arms; k++)
+        if (!take_arm(c, k, moves.data + k * c->joints, tools)) return false;
+    for (int i = 0; i <= (int)last; i++)
+        if (!take_group(c, i, moves.data, tools)) return false;
+    c->arm_joints = c->all_arms.data();
+    c->groups = (int)c->all_groups.size(), c->group = c->all_groups.data();
     for (const Group &g : c->all_groups) unknowns += std::max(g.joints - 6 * g.arms, 0);
     for (int k = 0; k < c->arms; k++) {
-        const int own = (int)c->arm_size[k], group = (int)c->arm_group[k];
-        if (group < 0) unknowns += std::max(own - 6, 0);
-        c->few |= own + (group < 0 ? 0 : c->all_groups[(size_t)group].shared) < 6;
+        const ArmJoints &a = c->all_arms[(size_t)k];
+        if (!(c->arm_group[k] >= 0.0)) unknowns += std::max(a.n - 6, 0);
+        c->few |= a.shared + a.n < 6;
     }
     for (int j = 0; j < c->joints; j++) {
         const double at = c->q_index[j] = q_index.data[j], width = (c->continuous[j] = continuous.data[j]) != 0.0 ? 2 : 1;
@@ -163,21 +190,19 @@ static bool take_joints(BoundCore *c, const In &start, const In &size, const In 
     return unknowns == c->unknowns;
 }
 
-static void build(BoundCore *self, const In &arm_start, const In &arm_size, const In &arm_group, const In &joint_group,
-                  const In &q_index, const In &continuous, int nq, int unknowns, int past, int given_rows,
-                  bool plain_arithmetic) {
+static void build(BoundCore *self, const In &moves, const In &arm_group, const In &q_index, const In &continuous, int nq,
+                  int unknowns, int past, int given_rows, bool plain_arithmetic) {
     static const double nowhere[3] = {1.0, 0.0, 0.0};
-    const Py_ssize_t arms = arm_start.size, joints = q_index.size, most = 10000;
+    const Py_ssize_t arms = arm_group.size, joints = q_index.size, most = 10000;
     const char *unfit = "the sizes do not fit together";
-    check_fit(arms >= 1 && arm_size.size == arms && arm_group.size == arms && joints >= 1 && joints <= most &&
-                  joint_group.size == joints && continuous.size == joints &&
+    check_fit(arms >= 1 && arms <= most && joints >= 1 && joints <= most && moves.size == arms * joints && continuous.size == joints &&
                   nq >= joints && nq <= 2 * joints && unknowns >= TWIST_AND_SHARES && unknowns <= TWIST_AND_SHARES + joints &&
                   past >= 1 && past <= 100 * most && given_rows >= 0 && given_rows <= most, unfit);
     new (self) BoundCore();
     self->arms = (int)arms, self->joints = (int)joints, self->nq = nq, self->unknowns = unknowns, self->past = past;
     self->rows = given_rows + 1 + self->arms + self->joints; /* those that brake all arms together come last */
     lay_out(self);
-    if (!take_joints(self, arm_start, arm_size, arm_group, joint_group, q_index, continuous)) {
+    if (!take_joints(self, moves, arm_group, q_index, continuous)) {
         self->~BoundCore();
         throw nb::value_error(unfit);
     }

@@ -64,12 +64,7 @@ template <class Which> static void from_others(const Which &which, const Twists 
 
 /* Has arm k sent the numbers of the sample before, to the last bit? */
 static int repeats(const Core *c, int k, const double *q) {
-    const auto [start, n] = joints_of(c, k);
-    const int last = start + n - 1, begin = (int)c->q_index[start];
-    const int end = (int)c->q_index[last] + (c->continuous[last] != 0.0 ? 2 : 1);
-    for (int i = begin; i < end; i++)
-        if (q[i] != c->seen[i]) return 0;
-    for (int i = 0; i < shared_before(c, k); i++) {
+    for (int i = 0; i < joints_behind(c, k); i++) {
         const int j = joint_behind(c, k, i), at = (int)c->q_index[j];
         if (q[at] != c->seen[at] || (c->continuous[j] != 0.0 && q[at + 1] != c->seen[at + 1])) return 0;
     }
@@ -399,53 +394,66 @@ static void solve_symmetric(Symmetric &A, Numbers &&b) {
 
 /* Compliance C_k of the servos of an arm's own joints at the object, and how the deflection of all behind it bends it. */
 static void comply(const Core *c, int k, const Twists &jacobian, Eigen::Map<Matrix6> C, Ref6 bent) {
-    const auto [start, n] = joints_of(c, k);
+    const ArmJoints &a = joints_of(c, k);
     C.setZero(), bent.setZero();
-    for (int j = start; j < start + n; j++) {
-        const Vector6 column = jacobian.col(j);
-        C += c->softness[j] * column * column.transpose();
-        bent += c->deflection[j] * column;
+    for (int i = 0; i < a.n; i++) {
+        const Vector6 column = jacobian.col(a.own(i));
+        C += c->softness[a.own(i)] * column * column.transpose();
+        bent += c->deflection[a.own(i)] * column;
     }
-    for (int i = 0; i < shared_before(c, k); i++) bent += c->deflection[joint_behind(c, k, i)] * jacobian.col(joint_behind(c, k, i));
+    for (int i = 0; i < a.shared; i++) bent += c->deflection[a.joint[i]] * jacobian.col(a.joint[i]);
 }
 
-/* Compliance of the joints that the arms of a group share: by it the object gives way to the sum of their wrenches. */
-static Matrix6 comply_together(const Core *c, const Group &g, const Twists &jacobian) {
+/* Compliance of the joints that two arms of a group share: by it each gives way to the other's wrench. */
+static Matrix6 comply_together(const Core *c, const Group &g, int one, int other, const Twists &jacobian) {
     Matrix6 C = Matrix6::Zero();
     for (int j = 0; j < g.shared; j++) {
+        if (!g.moves[one][j] || !g.moves[other][j]) continue;
         const Vector6 column = jacobian.col(g.joint[j]);
         C += c->softness[g.joint[j]] * column * column.transpose();
     }
     return C;
 }
 
-/* The wrenches of the servos of a group, from how its arms are bent, in their place. */
-static void push_together(const Core *c, const Group &g, const Twists &jacobian, const double *C, Twists &wrenches) {
-    const Matrix6 shared = comply_together(c, g, jacobian);
+/* The compliance of a group, of which the lower triangle counts. */
+static GroupGram compliance_of(const Core *c, const Group &g, const Twists &jacobian, const double *C) {
     GroupGram A = GroupGram::Zero(6 * g.arms, 6 * g.arms);
-    GroupTwists bent = GroupTwists::Zero(6 * g.arms);
     for (int i = 0; i < g.arms; i++) {
-        for (int j = 0; j < g.arms; j++) A.block<6, 6>(6 * i, 6 * j) = shared;
+        for (int j = 0; j <= i; j++) A.block<6, 6>(6 * i, 6 * j) = comply_together(c, g, i, j, jacobian);
         A.block<6, 6>(6 * i, 6 * i) += Eigen::Map<const Matrix6>(C + 36 * g.arm[i]);
-        bent.segment<6>(6 * i) = wrenches.col(g.arm[i]);
     }
     A.diagonal().array() += STRUCTURE;
+    return A;
+}
+
+/* The wrenches of the servos of a group, from how its arms are bent, in their place. */
+static void push_together(const Core *c, const Group &g, const Twists &jacobian, const double *C, Twists &wrenches) {
+    GroupGram A = compliance_of(c, g, jacobian, C);
+    GroupTwists bent = GroupTwists::Zero(6 * g.arms);
+    for (int i = 0; i < g.arms; i++) bent.segment<6>(6 * i) = wrenches.col(g.arm[i]);
     solve_symmetric(A, bent);
     for (int i = 0; i < g.arms; i++) wrenches.col(g.arm[i]) = bent.segment<6>(6 * i);
 }
 
-/* The sum of the wrenches of a group from that of all arms, had its shared joints not given way. */
-static Vector6 without_shared(const Core *c, const Group &g, const Twists &jacobian, const double *C, const Vector6 &total) {
-    const Vector6 away = comply_together(c, g, jacobian) * total;
-    Vector6 out = total;
-    for (int i = 0; i < g.arms; i++) {
-        Matrix6 own = Eigen::Map<const Matrix6>(C + 36 * g.arm[i]);
-        own.diagonal().array() += STRUCTURE;
-        Vector6 pushed = away;
-        solve_symmetric(own, pushed);
-        out += pushed;
+/* By how much the servos' target of arm k, which shares joints, would lag behind for the total wrench: all arms of the group feel
+ * where it is. */
+static Vector6 lag_of_one(const Core *c, const Group &g, int k, const Twists &jacobian, const double *C, const Vector6 &total) {
+    const GroupGram whole = compliance_of(c, g, jacobian, C);
+    Rows<> felt;
+    int m = 0;
+    while (g.arm[m] != k) m++;
+    for (int i = 0; i < 6; i++) {
+        GroupGram A = whole;
+        GroupTwists all = GroupTwists::Zero(6 * g.arms);
+        for (int arm = 0; arm < g.arms; arm++) all[6 * arm + i] = 1.0;
+        solve_symmetric(A, all);
+        for (int j = 0; j < 6; j++) felt[i][j / 2][j % 2] = all[6 * m + j];
+        felt[i][3] = pair{total[i], 0.0};
     }
-    return out;
+    Vector6 lag = Vector6::Zero();
+    if (solve6<1>(felt) > 0.0)
+        for (int i = 0; i < 6; i++) lag[i] = felt[i][3][0];
+    return lag;
 }
 
 /* Filter the deflection of the servos; find the commanded velocity. Returns whether all joints rest. */
@@ -459,10 +467,8 @@ static int deflect(Core *c, const double *positions, double dt, double *velocity
         c->deflection[j] += fresh * (off - c->deflection[j]);
         fastest = fabs(velocity[j]) > fastest ? fabs(velocity[j]) : fastest;
     };
-    for (int k = 0; k < c->arms; k++) {
-        const auto [start, n] = joints_of(c, k);
-        for (int j = start; j < start + n; j++) bend(j);
-    }
+    for (int k = 0; k < c->arms; k++)
+        for (int i = 0; i < joints_of(c, k).n; i++) bend(joints_of(c, k).own(i));
     for (int g = 0; g < c->groups; g++)
         for (int i = 0; i < c->group[g].shared; i++) bend(c->group[g].joint[i]);
     c->commanded = c->positions;
@@ -472,9 +478,8 @@ static int deflect(Core *c, const double *positions, double dt, double *velocity
 
 /* Cosine between the way back that a wrench asks of arm k and its last motion. */
 static double straightness(const Core *c, int k, const Twists &jacobian, const Vector6 &back) {
-    const auto [start, n] = joints_of(c, k);
-    Vector6 way = jacobian.middleCols(start, n).lazyProduct(c->way.segment(start, n)), scaled = back;
-    for (int i = 0; i < shared_before(c, k); i++) way += c->way[joint_behind(c, k, i)] * jacobian.col(joint_behind(c, k, i));
+    Vector6 way = Vector6::Zero(), scaled = back;
+    for (int i = 0; i < joints_behind(c, k); i++) way += c->way[joint_behind(c, k, i)] * jacobian.col(joint_behind(c, k, i));
     way.tail<3>() *= TURN_LENGTH, scaled.tail<3>() *= TURN_LENGTH;
     return scaled.dot(way) / fmax(scaled.norm() * way.norm(), 1e-300);
 }
@@ -487,10 +492,7 @@ static void find_behind(Core *c, const Twists &jacobian, const double *C, const 
     if (!(total.head<3>().norm() > UNBALANCED * largest)) return;
     for (int k = 0; k < c->arms; k++) {
         Vector6 back = Eigen::Map<const Matrix6>(C + 36 * k) * total;
-        if (const Group *g = group_of(c, k)) {
-            const Vector6 own = without_shared(c, *g, jacobian, C, total);
-            back = Eigen::Map<const Matrix6>(C + 36 * k) * own + STRUCTURE * own;
-        }
+        if (const Group *g = group_of(c, k)) back = lag_of_one(c, *g, k, jacobian, C, total);
         const double straight = straightness(c, k, jacobian, back);
         if (!(straight > straightest)) continue;
         straightest = straight;
@@ -534,9 +536,7 @@ static int read_forces(Core *c, const double *positions, double dt) {
     w->behind = -1.0;
     if (!rests) {
         for (int k = 0; k < n; k++) {
-            const auto [start, size] = joints_of(c, k);
-            memcpy(c->way + start, velocity + start, sizeof(double) * (size_t)size);
-            for (int i = 0; i < shared_before(c, k); i++) c->way[joint_behind(c, k, i)] = velocity[joint_behind(c, k, i)];
+            for (int i = 0; i < joints_behind(c, k); i++) c->way[joint_behind(c, k, i)] = velocity[joint_behind(c, k, i)];
         }
         w->rest = 0.0;
         return most;

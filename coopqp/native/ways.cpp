@@ -16,14 +16,14 @@ static const double *way_at(const Core *c, int k, double clock) {
     const double *way = ways_of(c);
     for (int left = (int)*way++; left > 0; left--) {
         if (way[0] == k && way[1] <= clock && clock < way[2]) return way;
-        way += way_size((int)c->arm_size[(int)way[0]], way[6]);
+        way += way_size(joints_of(c, (int)way[0]).n, way[6]);
     }
     return nullptr;
 }
 
 /* Positions and speeds of the arm's joints on a way at a clock; those of an end beyond it. */
 static void on_way(const Core *c, const double *way, double clock, double *x, double *speed) {
-    const int n = (int)c->arm_size[(int)way[0]], rows = (int)way[6], last = rows - 1;
+    const int n = joints_of(c, (int)way[0]).n, rows = (int)way[6], last = rows - 1;
     const double *clocks = way + WAY_HEAD, *at = clocks + rows, *slopes = at + n * rows;
     const double sense = way[4], t = way[3] + sense * clock - way[5];
     if (!(t >= 0.0 && t < clocks[last])) {
@@ -69,14 +69,15 @@ static void carry_with_others(const Core *c, Pose *carried) {
 /* Newton's step and q′ of these arms, a moment `before` a clock: onto the way, and along it. */
 static void along_ways(const Core *c, double clock, double before, const double *positions, double *step, double *slope) {
     const double side = maximum(minimum(clock, c->duration) - before, 0.0);
-    double speed[MOST_JOINTS], x[MOST_JOINTS];
+    double speed[MOST_JOINTS], x[MOST_JOINTS], unused[MOST_JOINTS];
     for (int k = 0; k < c->arms; k++) {
         if (!follows_way(c, k)) continue;
-        const auto [start, n] = joints_of(c, k);
+        const ArmJoints &a = joints_of(c, k);
         const double *way = way_at(c, k, side);
-        on_way(c, way, clock, step + start, speed);
-        on_way(c, way, clock - before, x, slope + start);
-        for (int j = start; j < start + n; j++) step[j] -= positions[j];
+        on_way(c, way, clock - before, unused, speed);
+        for (int i = 0; i < a.n; i++) slope[a.own(i)] = speed[i];
+        on_way(c, way, clock, x, speed);
+        for (int i = 0; i < a.n; i++) step[a.own(i)] = x[i] - positions[a.own(i)];
     }
 }
 
@@ -86,13 +87,13 @@ static void wish_along_ways(Core *c, double clock, double span, double h) {
     double now[MOST_JOINTS], later[MOST_JOINTS], speed[MOST_JOINTS], unused[MOST_JOINTS];
     for (int k = 0; k < c->arms; k++) {
         if (!follows_way(c, k)) continue;
-        const auto [start, n] = joints_of(c, k);
+        const ArmJoints &a = joints_of(c, k);
         const double *way = way_at(c, k, clock);
         on_way(c, way, clock, now, speed);
         on_way(c, way, fmin(clock + span, way[2]), later, unused);
-        for (int j = 0; j < n; j++) {
-            c->null_along[start + j] = span > 1e-12 ? (later[j] - now[j]) / span : speed[j];
-            c->null_offset[start + j] = gain * (now[j] - c->positions[start + j]);
+        for (int i = 0; i < a.n; i++) {
+            c->null_along[a.own(i)] = span > 1e-12 ? (later[i] - now[i]) / span : speed[i];
+            c->null_offset[a.own(i)] = gain * (now[i] - c->positions[a.own(i)]);
         }
     }
 }
@@ -102,12 +103,14 @@ static void watch_ways(Core *c, double clock) {
     double x[MOST_JOINTS], speed[MOST_JOINTS];
     for (int k = 0; k < c->arms; k++) {
         if (!follows_way(c, k)) continue;
-        const auto [start, n] = joints_of(c, k);
+        const ArmJoints &a = joints_of(c, k);
         int joint = 0;
         double most = 0.0;
         on_way(c, way_at(c, k, clock), clock, x, speed);
-        for (int j = 0; j < n; j++)
-            if (fabs(c->positions[start + j] - x[j]) > most) most = fabs(c->positions[start + j] - x[j]), joint = start + j;
+        for (int i = 0; i < a.n; i++) {
+            const double far = fabs(c->positions[a.own(i)] - x[i]);
+            if (far > most) most = far, joint = a.own(i);
+        }
         if (most > FAR_FROM_WAY && c->proposal->hold == 0.0) {
             refuse(c, OFF_WAY, -1, most);
             c->proposal->reason_b = joint;

@@ -17,6 +17,7 @@ import pytest
 from cells import grasp_at, on_another_joint
 from golden import Golden, Inputs, Run
 from marks import slow_but_first, slow_unless
+from odd_cells import ODD_CELLS, posture
 from runs import hurried, limited_once
 from tapes import DISTURBED, SAME, Tape, difference, from_bytes, same_words, to_bytes
 from torsos import robot_of
@@ -591,6 +592,20 @@ def test_on_a_group_beside_an_arm(golden: Golden, mode: str, tmp_path: Path) -> 
     task = on_a_torso("lift", tmp_path, beside=True)
     assert task.cell.groups == ((1, 2),)
     run_in(golden, mode, task, 80)
+
+
+@pytest.mark.core
+@pytest.mark.parametrize(
+    ("mode", "acceleration"), [("always a QP", 5.0), ("forces watched, an arm stalls", np.inf)], ids=["QP", "forces"]
+)
+@pytest.mark.parametrize("cell", ODD_CELLS)
+def test_on_rows_of_joints_that_are_odd(
+    golden: Golden, cell: str, mode: str, acceleration: float, tmp_path: Path
+) -> None:
+    """Joints between an arm's that move no tool, joints that some of a robot's arms share, many joints, screws."""
+    made = ODD_CELLS[cell](tmp_path).with_limits(acceleration=acceleration)
+    steps, same = (25, DISTURBED) if mode == "always a QP" else (70, SAME)
+    run_in(golden, mode, held(made, posture(made)), steps, same=same)
 
 
 @pytest.mark.core

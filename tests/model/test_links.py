@@ -6,7 +6,9 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
+from coopqp import Arm
 from coopqp.errors import ModelError
+from coopqp.model.batch import ArmKinematics
 from coopqp.model.links import joint_axes, joint_links
 
 #: Kinds of joints, with the twist of each in its own frame.
@@ -42,16 +44,16 @@ def test_axes_are_unit_twists(rng: np.random.Generator) -> None:
 def test_the_links_are_the_model(count: int, rng: np.random.Generator) -> None:
     """Where the last joint is, as a product of places and of turns about z or slides along z."""
     model = serial(rng)
-    R, p, slides, aligned = joint_links(model, range(1, count + 1))
+    R, p, pitch, aligned = joint_links(model, range(1, count + 1))
     assert R.shape == (count, 3, 3)
     names = [joint.shortname() for joint in list(model.joints)[1 : count + 1]]
-    np.testing.assert_array_equal(slides, [name.startswith("JointModelP") for name in names])
+    np.testing.assert_array_equal(pitch, [np.inf if name.startswith("JointModelP") else 0.0 for name in names])
     x = rng.uniform(-2.0, 2.0, model.nv)
     T = pin.SE3.Identity()
     for i, value in enumerate(x[:count]):
         turn = (
             pin.SE3(np.eye(3), np.array([0.0, 0.0, value]))
-            if slides[i]
+            if pitch[i]
             else pin.SE3(pin.utils.rotate("z", value), np.zeros(3))
         )
         T = T * pin.SE3(R[i], p[i]) * turn
@@ -64,15 +66,21 @@ def test_the_links_are_the_model(count: int, rng: np.random.Generator) -> None:
         assert np.linalg.det(M) == pytest.approx(1.0)
 
 
+def test_a_screw_has_a_pitch_which_only_the_step_knows() -> None:
+    screw = pin.Model()
+    screw.addJoint(0, pin.JointModelHelicalUnaligned(SKEW, 0.1), pin.SE3.Identity(), "screw")
+    screw.addFrame(pin.Frame("tool", 1, 0, pin.SE3.Identity(), pin.FrameType.OP_FRAME))
+    assert joint_links(screw, [1])[2] == pytest.approx([0.1], abs=1e-15)
+    arm = Arm.from_model("a", screw, tool_frame="tool", velocity_limits=1.0, lower_limits=-1.0, upper_limits=1.0)
+    with pytest.raises(ModelError, match="arm 'a': joint screw neither turns about an axis nor slides along one"):
+        ArmKinematics(arm)
+
+
 def test_what_is_no_row_of_joints_is_named(rng: np.random.Generator) -> None:
     model = serial(rng)
     for joints in ([2], [1, 3], [1, 2, 2], [2, 1]):
         with pytest.raises(ModelError, match=r"joint joint [123] does not follow the one before"):
             joint_links(model, joints)
-    screw = pin.Model()
-    screw.addJoint(0, pin.JointModelHelicalUnaligned(SKEW, 0.1), pin.SE3.Identity(), "screw")
-    with pytest.raises(ModelError, match="joint screw neither turns about an axis nor slides along one"):
-        joint_links(screw, [1])
     ball = pin.Model()
     ball.addJoint(0, pin.JointModelSpherical(), pin.SE3.Identity(), "ball")
     with pytest.raises(ModelError, match="joint ball does not follow"):

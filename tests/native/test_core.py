@@ -32,6 +32,7 @@ from coopqp.control.core import compiled
 from coopqp.control.step import decoding
 from coopqp.control.step.constraint_set import Constraints
 from coopqp.model import CellState
+from coopqp.model.chain import moving_columns
 from coopqp.native import _core as native, layout
 from coopqp.scenarios import Scenario, at_limit, dual_arm7, mixed_cell, paper_lift, ring
 from coopqp.solvers import QpProblem, QpSolution, QpSolver, make_solver
@@ -379,11 +380,11 @@ Built = tuple[Any, ...]
 
 def built(loop: Any) -> Built:
     """Arguments of a Core like the loop's own."""
-    start, size, group, q_index, continuous = (
-        loop.at[name].copy() for name in ("arm_start", "arm_size", "arm_group", "q_index", "continuous")
-    )
-    joint_group = np.full(q_index.size, -1.0)  # of the cells here no arms share joints
-    return (start, size, group, joint_group, q_index, continuous, loop.cell.nq, loop.at["unit"].size, 5, 64, False)
+    group, q_index, continuous = (loop.at[name].copy() for name in ("arm_group", "q_index", "continuous"))
+    moves = np.zeros((len(loop.cell), loop.cell.nv))
+    for k, columns in enumerate(moving_columns(loop.cell)):
+        moves[k, columns] = 1.0
+    return (moves.ravel(), group, q_index, continuous, loop.cell.nq, loop.at["unit"].size, 5, 64, False)
 
 
 def core_with(arguments: Built, loop: Any) -> Any:
@@ -419,7 +420,7 @@ def with_entry(things: tuple[Any, ...], i: int, thing: Any) -> tuple[Any, ...]:
 
 def test_sizes_that_do_not_fit_are_refused(paper: Scenario) -> None:
     arguments = built(loop_of(paper))
-    for i, array in enumerate(arguments[:6]):
+    for i, array in enumerate(arguments[:4]):
         for bad in (array[:-1].copy(), np.zeros(array.size + 1), np.zeros(0)):
             with pytest.raises(ValueError, match="fit"):
                 native.Core(*with_entry(arguments, i, bad))
@@ -429,10 +430,10 @@ def test_sizes_that_do_not_fit_are_refused(paper: Scenario) -> None:
         ):  # fmt: skip
             with pytest.raises((ValueError, TypeError, BufferError)):
                 native.Core(*with_entry(arguments, i, bad))
-    for i, bad in ((6, 17), (6, 37), (6, -1), (7, 8), (7, 10), (7, -9), (8, 0), (8, 10**9), (9, -1), (9, 10**9)):
+    for i, bad in ((4, 17), (4, 37), (4, -1), (5, 8), (5, 10), (5, -9), (6, 0), (6, 10**9), (7, -1), (7, 10**9)):
         with pytest.raises(ValueError, match="fit"):
             native.Core(*with_entry(arguments, i, bad))
-    for i in range(6, 10):
+    for i in range(4, 8):
         for bad in (None, (), 2.5, 2**40):
             with pytest.raises((TypeError, OverflowError)):
                 native.Core(*with_entry(arguments, i, bad))
@@ -466,18 +467,33 @@ def test_the_largest_least_distance_program_has_room(make: Callable[[], Scenario
 
 @pytest.mark.parametrize(
     ("field", "value"),
-    [("arm_start", -1.0), ("arm_start", 13.0), ("arm_start", np.nan), ("arm_size", 0.0), ("arm_size", 1e9),
-     ("arm_size", np.nan), ("arm_size", 17.0), ("arm_group", 0.0), ("arm_group", 1.0), ("arm_group", 1e9),
-     ("q_index", -1.0), ("q_index", 18.0), ("q_index", np.nan)],
+    [("arm_group", 0.0), ("arm_group", 1.0), ("arm_group", 1e9), ("q_index", -1.0), ("q_index", 18.0),
+     ("q_index", np.nan)],
 )  # fmt: skip
 def test_arms_that_do_not_lie_in_the_vectors_are_refused(field: str, value: float, paper: Scenario) -> None:
     arguments = built(loop_of(paper))
-    which = ("arm_start", "arm_size", "arm_group", "joint_group", "q_index").index(field)
+    which = ("moves", "arm_group", "q_index").index(field)
     for i in (0, -1):
         bad = arguments[which].copy()
         bad[i] = value
         with pytest.raises(ValueError, match="fit"):
             native.Core(*with_entry(arguments, which, bad))
+
+
+def test_joints_that_do_not_fit_the_arms_are_refused(paper: Scenario) -> None:
+    """An arm without joints, or without its own; joints of two arms that are no group, or after an arm's own."""
+    arguments = built(loop_of(paper))
+    moves, together = arguments[0].reshape(3, 18), np.zeros(3)
+    none, all_of_one, both, late = (moves.copy() for _ in range(4))
+    none[1] = 0.0
+    all_of_one[:] = 1.0
+    both[1, 0] = 1.0
+    late[1, 5] = 1.0
+    alone = arguments[1]
+    wrong = ((none, alone), (all_of_one, together), (all_of_one, alone), (both, alone), (late, together))
+    for bad, groups in wrong:
+        with pytest.raises(ValueError, match="fit"):
+            native.Core(bad.ravel(), groups, *arguments[2:])
 
 
 def test_arguments_that_are_none_are_refused(paper: Scenario) -> None:

@@ -18,7 +18,7 @@ from coopqp.constraints.cause import Cause
 from coopqp.constraints.rate import Knot
 from coopqp.constraints.velocity import ConstraintTrouble, Rows, no_rows
 from coopqp.control.core.force_memory import minding_scalars
-from coopqp.control.core.memory import NotForTheCore, build_memory, put_options, same_kinematics
+from coopqp.control.core.memory import NotForTheCore, build_memory, check_kinematics, put_options
 from coopqp.control.interface import ControlStep, SolverReport, Status, amend
 from coopqp.control.monitoring.supervision import as_configuration
 from coopqp.control.operator.way import Way
@@ -59,7 +59,8 @@ class CompiledLoop:
         arithmetic: ``"plain"`` for instructions that every processor has; ``"auto"`` for the fastest.
 
     Raises:
-        NotForTheCore: the cell or the options ask for something that the core does not do.
+        NotForTheCore: the options ask for something that the core does not do.
+        ModelError: the cell has too many joints, or arms that share some, or joints that move as no known kind does.
     """
 
     kernel = "compiled"
@@ -99,8 +100,7 @@ class CompiledLoop:
         numbers.leaves_path = constraints.gives_way
         self._loop.overridden = self._loop.ease = 1.0
         self._share: float | None = math.nan  # of the accelerations that the path's options are for; none yet
-        if not same_kinematics(chain, self._core.linearise):
-            raise NotForTheCore("the core's kinematics of this robot are not Pinocchio's")
+        check_kinematics(chain, self._core.linearise)
         self._target = Posture(cell, options.posture).target
         self._no_rows = no_rows(cell.nv)
         self._nan = np.full(cell.nq, math.nan)

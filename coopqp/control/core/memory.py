@@ -17,22 +17,20 @@ from coopqp.control.step.velocity_bounds import VelocityBox
 from coopqp.errors import ModelError
 from coopqp.model.cell import RobotCell, of_cell
 from coopqp.model.chain import Chain, moving_columns
-from coopqp.model.links import joint_links
+from coopqp.model.links import check_count, joint_links
 from coopqp.native import layout
 from coopqp.native.constants import (
     CALM,
     LARGEST_MOVE,
     MOST_GROUP_JOINTS,
-    MOST_JOINTS,
     MOST_KNOTS,
-    MOST_SHARED,
     MOST_SHARING,
 )
 from coopqp.spatial import Array
 
 
 class NotForTheCore(Exception):  # noqa: N818
-    """The cell has something that the core does not know; the plain loop runs it. No user sees it."""
+    """The options ask for something that the core does not know; the plain loop does it. No user sees it."""
 
 
 @final
@@ -44,12 +42,20 @@ class Memory:
         unknowns: of the condensed QP without the slacks of recovery and relaxation.
         past: samples in which a stall is looked for.
         arithmetic: ``"plain"`` for instructions that every processor has.
+
+    Raises:
+        ModelError: too many joints, or too many arms that share some.
     """
 
     def __init__(self, chain: Chain, *, unknowns: int, past: int, arithmetic: str = "auto") -> None:
         cell, plain = chain.cell, arithmetic == "plain"
-        shared = _groups(chain)
-        joints = (np.array(x, dtype=float) for x in (*_arms(chain), *shared, cell.position_index, cell.continuous))
+        _check_sizes(cell)
+        moves, groups = np.zeros((len(cell), cell.nv)), np.full(len(cell), -1.0)
+        for k, columns in enumerate(chain.moving_columns):
+            moves[k, columns] = 1.0
+        for i, arms in enumerate(cell.groups):
+            groups[list(arms)] = i
+        joints = (np.array(x, dtype=float) for x in (moves.ravel(), groups, cell.position_index, cell.continuous))
         self.core: Any = native.Core(*joints, cell.nq, unknowns, past, MOST_ROWS, plain)
         self.at: dict[str, Array] = self.core.fields()
         self.options, self.loop, self.travels, self.proposal = (
@@ -83,7 +89,7 @@ def build_memory(
     """The core of a loop and its memory, the constants filled in.
 
     Raises:
-        NotForTheCore: a joint type, or an order of joints, that the core does not know.
+        ModelError: too many joints, or too many arms that share some; or a joint that moves as no known kind does.
     """
     cell, past = chain.cell, kept_samples(options.supervision, dt)
     memory = Memory(chain, unknowns=unit.size, past=past, arithmetic=arithmetic)
@@ -138,37 +144,24 @@ def put_options(memory: Memory, chain: Chain, box: VelocityBox, o: QPOptions, dt
         setattr(numbers, name, value)
 
 
-def _arms(chain: Chain) -> tuple[list[int], list[int]]:
-    """First column and number of each arm's own joints."""
-    if any(len(c) > MOST_JOINTS for c in chain.moving_columns):
-        raise NotForTheCore(f"an arm has more than {MOST_JOINTS} joints")
-    columns = [np.setdiff1d(c, chain.cell.shared) for c in chain.moving_columns]
-    if any(len(c) == 0 for c in columns):
-        raise NotForTheCore("an arm has no joints of its own")
-    if any((np.diff(c) != 1).any() for c in columns):
-        raise NotForTheCore("the joints of an arm do not follow each other")
-    return [int(c[0]) for c in columns], [len(c) for c in columns]
-
-
-def _groups(chain: Chain) -> tuple[Array, Array]:
-    """The group of each arm (N,), and that of each joint that its arms share (nv,); −1 for none."""
-    cell = chain.cell
-    of_arm, of_joint = np.full(len(cell), -1.0), np.full(cell.nv, -1.0)
-    for i, arms in enumerate(cell.groups):
-        ways = [np.intersect1d(chain.moving_columns[k], cell.shared) for k in arms]
-        if any(not np.array_equal(way, ways[0]) for way in ways):
-            raise NotForTheCore("some of a robot's arms share joints that others of its arms do not have")
-        joints = len(ways[0]) + sum(len(chain.moving_columns[k]) - len(ways[0]) for k in arms)
-        if len(arms) > MOST_SHARING or len(ways[0]) > MOST_SHARED or joints > MOST_GROUP_JOINTS:
-            raise NotForTheCore("too many arms, or joints of arms, share joints")
-        of_arm[list(arms)], of_joint[ways[0]] = i, i
-    return of_arm, of_joint
+def _check_sizes(cell: RobotCell) -> None:
+    """Raise where an arm has more joints, or arms that share some are more, than the core has room for."""
+    for arm, columns in zip(cell.arms, moving_columns(cell), strict=True):
+        check_count(arm.name, len(columns))
+    for arms in cell.groups:
+        joints = len(np.unique(np.concatenate([moving_columns(cell)[k] for k in arms])))
+        if len(arms) > MOST_SHARING or joints > MOST_GROUP_JOINTS:
+            raise ModelError(
+                f"robot '{cell.arms[arms[0]].robot}': {len(arms)} arms with {joints} joints share some of them; the "
+                f"controller takes up to {MOST_SHARING} such arms and {MOST_GROUP_JOINTS} joints. Give fewer arms, or "
+                "lock what they share: locked_joints."
+            )
 
 
 def _put_links(chain: Chain, at: dict[str, Array]) -> None:
     """Placement of each joint in the one before, of the object on each arm's last joint, and of the tool there."""
     cell = chain.cell
-    at["link_R"][:], at["link_p"][:], at["prismatic"][:], aligned = _links_of(cell)
+    at["link_R"][:], at["link_p"][:], at["pitch"][:], aligned = _links_of(cell)
     held, tool_p = at["object"].reshape(len(cell), 12), at["tool_p"].reshape(len(cell), 3)
     for k, turned in enumerate(aligned):
         Y = cell.T_joint_tool[k] * chain.grasp.T_object_tool[k].inverse()
@@ -180,26 +173,24 @@ def _put_links(chain: Chain, at: dict[str, Array]) -> None:
 @of_cell
 def _links_of(cell: RobotCell) -> tuple[Array, Array, Array, list[Array]]:
     """The numbers of all joints, each with its z axis along the joint's axis, and the last rotation of each arm."""
-    R, p, slides, aligned = np.tile(np.eye(3), (cell.nv, 1, 1)), np.zeros((cell.nv, 3)), np.zeros(cell.nv), []
-    for k, columns in enumerate(moving_columns(cell)):
-        joints = [int(j) + 1 for j in columns]
-        if any(cell.model.joints[j].idx_v != j - 1 for j in joints):
-            raise NotForTheCore(f"the joints of arm {cell.arm_names[k]} are in another order")
-        if cell.tool_joints[k] != joints[-1]:
-            raise NotForTheCore(f"the tool of arm {cell.arm_names[k]} is not on its last joint")
+    R, p, pitch, aligned = np.tile(np.eye(3), (cell.nv, 1, 1)), np.zeros((cell.nv, 3)), np.zeros(cell.nv), []
+    for arm, columns in zip(cell.arms, moving_columns(cell), strict=True):
         try:
-            R[columns], p[columns], slides[columns], turned = joint_links(cell.model, joints)
+            R[columns], p[columns], pitch[columns], turned = joint_links(cell.model, [int(j) + 1 for j in columns])
         except ModelError as error:
-            raise NotForTheCore(str(error)) from error
+            raise ModelError(f"arm '{arm.name}': {error}") from error
         aligned.append(turned)
-    return R.ravel(), p.ravel(), slides, aligned
+    return R.ravel(), p.ravel(), pitch, aligned
 
 
-def same_kinematics(chain: Chain, linearise: object, *, samples: int = 3, tolerance: float = 1e-9) -> bool:
-    """Whether the core's kinematics are Pinocchio's, at seeded random configurations of this very robot."""
+def check_kinematics(chain: Chain, linearise: object, *, samples: int = 3, tolerance: float = 1e-9) -> None:
+    """Compare the core's kinematics with Pinocchio's, at seeded random configurations of this very robot.
+
+    Raises:
+        ModelError: those of an arm differ.
+    """
     rng, cell = np.random.default_rng(0), chain.cell
     carried, jacobian = np.zeros((len(cell), 12)), np.zeros((cell.nv, 6))
-    moving = np.concatenate(chain.moving_columns)
     for x in rng.uniform(-2.0, 2.0, (samples, cell.nv)):
         q = cell.configuration(x)
         O = chain.carried(q)
@@ -209,7 +200,10 @@ def same_kinematics(chain: Chain, linearise: object, *, samples: int = 3, tolera
         expected = np.array([[*own.rotation.ravel(), *own.translation] for own in O])
         reach = max(1.0, float(np.abs(expected[:, 9:]).max()))
         units = np.repeat((1.0, reach), (9, 3))  # of rotations, and of origins
-        away = np.abs((carried - expected) / units).max()
-        if not max(away, np.abs(jacobian[moving] - np.hstack(chain.jacobians).T).max() / reach) < tolerance:
-            return False
-    return True
+        away = np.abs((carried - expected) / units).max(axis=1)
+        for name, own, J, columns in zip(cell.arm_names, away, chain.jacobians, chain.moving_columns, strict=True):
+            if not max(own, np.abs(jacobian[columns] - J.T).max() / reach) < tolerance:
+                raise ModelError(
+                    f"arm '{name}': its joints do not move it as Pinocchio says, at random configurations. Build its "
+                    "model of joints that turn, slide, or screw about one axis."
+                )
