@@ -38,7 +38,7 @@ from coopqp import (
     WaypointPath,
     check_path,
 )
-from coopqp.collision import Body, Box, Clearance, CollisionScene
+from coopqp.collision import Body, Box, Clearance, CollisionScene, Sphere
 from coopqp.control import RankWeights
 from coopqp.model import CellState
 from coopqp.scenarios import (
@@ -646,6 +646,42 @@ def test_where_a_group_passes_a_singularity(golden: Golden, tmp_path: Path) -> N
     cell = RobotCell([robot_of(TORSOS["lift"], tmp_path)])
     for seed in (1, 2, 4):
         assert 0.2 < golden.start(anywhere(cell, seed, 1.0), dt=0.02).run(45).lowest < 0.6
+
+
+@pytest.mark.core
+def test_past_corners_behind_which_joints_are_at_their_speeds(golden: Golden) -> None:
+    """They could change their speeds within a step; a corner is passed as slowly as what follows it."""
+    task = two_arms()
+    for seed, acceleration in ((3, 300.0), (7, 1000.0)):
+        rng, places = np.random.default_rng(seed), [task.path.pose(0.0)]
+        durations = rng.permutation([0.6, 0.12, 0.6, 0.1])
+        for _ in durations:
+            way = rng.normal(size=3)
+            way *= rng.uniform(0.05, 0.2) / np.linalg.norm(way)
+            places.append(places[-1] * pin.SE3(pin.exp3(0.3 * rng.normal(size=3)), way))
+        path = WaypointPath(places, durations=durations, time_law="linear")
+        run = golden.start(limited_once(two_arms, acceleration), path=lambda path=path: path, dt=0.02)  # type: ignore[misc]
+        run.same = DISTURBED
+        assert 0.0 < run.run(100).lowest < 0.5
+
+
+@pytest.mark.core
+def test_on_targets_that_change_beside_a_body(golden: Golden) -> None:
+    """A new way is taken at the rate of the one before only if its first step keeps to it."""
+    rng, task = np.random.default_rng(24), limited_once(two_arms, 10.0)
+    start = task.path.pose(0.0)
+    place = start.translation + 0.3 * rng.normal(size=3) + np.array([0.0, 0.0, 0.5])
+    scene = CollisionScene.of(
+        task, cell=task.cell, margin=0.0, obstacles=[Body("ball", Sphere(0.05), pin.SE3(np.eye(3), place))]
+    )
+    run = golden.start(task, path=lambda: ServoPath(start), dt=0.01, constraints=[Clearance(scene)])
+    run.same = DISTURBED
+    for i in range(120):
+        if i % 12 == 5:
+            goal = start * pin.SE3(pin.exp3(0.3 * rng.normal(size=3)), 0.15 * rng.normal(size=3))
+            run.ask(lambda c, goal=goal: c.retarget(goal))  # type: ignore[misc]
+        run.take()
+    assert run.seen >= {Status.SLOWED, Status.BLOCKED}
 
 
 @pytest.mark.core
