@@ -263,24 +263,25 @@ def test_edges_end_where_arms_or_distances_end_and_keep_both_between_their_sampl
         """Distance less what is required (P,)."""
         return distances.all(cell.configuration(x)) - required
 
-    def followed(a: Any, b: Any, x: Any) -> tuple[str, Any]:
-        """What stops the arms between two poses, which are rows; and the joint positions at the second one."""
+    def followed(a: Any, b: Any, x: Any) -> tuple[str, int, Any]:
+        """What stops the arms between two poses, which are rows, as Stop has it; joint positions at the second one."""
         found, T = x.copy(), [Pose.of_row(row).placement().homogeneous for row in (a, b)]
         for arm, own, X in zip(arms, columns_of(cell, arms), offsets, strict=True):
             q, reached = arm.trajectories(np.array(T) @ X, x[None, own])
             found[own] = q[0, 1]
             if not reached[0]:
-                return "reach", found
-            if ((found[own] < limits.lower[own]) | (found[own] > limits.upper[own])).any():
-                return "limit", found
+                return "reach", own[0], found
+            outside = (found[own] < limits.lower[own]) | (found[own] > limits.upper[own])
+            if outside.any():
+                return "limit", own[outside.argmax()], found
             if arm.singular_values(q[:, 1])[0, -1] < limits.sigma_min:
-                return "singular", found
-        return "", found
+                return "singular", own[0], found
+        return "", 0, found
 
     rooms = edges.rooms(x)
     np.testing.assert_allclose(rooms, margins(x), atol=1e-4)
     rng = np.random.default_rng(0)
-    kinds, stoppers = set(), set()
+    kinds, stoppers, sharp = set(), set(), 0
     for _ in range(12):
         goal = problem.start * pin.exp6(pin.Motion(rng.uniform(-1.0, 1.0, 6) * [0.3, 0.3, 0.3, 0.5, 0.5, 0.5]))
         a, b = Pose.of(problem.start), Pose.of(goal)
@@ -292,7 +293,7 @@ def test_edges_end_where_arms_or_distances_end_and_keep_both_between_their_sampl
         kinds.add(one.stop.kind)
         n = len(one.positions)
         for i, (before, after) in enumerate(pairwise(one.positions)):
-            kind, found = followed(rows[i], rows[i + 1], before)
+            kind, _, found = followed(rows[i], rows[i + 1], before)
             assert not kind
             np.testing.assert_allclose(after, found, atol=1e-7)
             far = margins(after)
@@ -315,15 +316,31 @@ def test_edges_end_where_arms_or_distances_end_and_keep_both_between_their_sampl
         by_object = one.stop.kind == "pair" and bool(np.isfinite(levers[one.stop.number]))
         stoppers.add((by_object, objects < len(rows)))
         if one.stop.kind == "pair":
-            kind, found = followed(rows[n - 1], rows[n], one.positions[-1])
+            last, k = one.positions[-1], one.stop.number
+            kind, _, found = followed(rows[n - 1], rows[n], last)
             assert not kind
-            ahead = np.array([margins(part) for part in np.linspace(one.positions[-1], found, 100)])[:, one.stop.number]
-            assert ahead.min() < limits.spare[one.stop.number] + 1e-6
+            ahead = np.array([margins(part) for part in np.linspace(last, found, 100)])[:, k]
+            assert ahead.min() < limits.spare[k] + 1e-6
+            before, after = (Pose.of_row(row) for row in rows[n - 1 : n + 1])
+            for beyond in (5e-5, -5e-5) if sharp < 6 else ():  # to there it goes, and no further
+                low, high = 0.0, 1.0
+                for _ in range(20):
+                    share = 0.5 * (low + high)
+                    there = part_of(before, after, share).row()
+                    room = (margins(followed(rows[n - 1], there, last)[2]) - limits.spare).min()
+                    low, high = (share, high) if room > beyond else (low, share)
+                if 0.01 < share < 0.99:
+                    stop = edges.walk(
+                        np.array([rows[n - 1], there]), share * motion[n - 1 : n], last, one.rooms[-1]
+                    ).stop
+                    assert stop.kind == ("" if beyond > 0.0 else "pair")
+                    sharp += 1
         elif one.stop.kind:
-            assert followed(rows[n - 1], rows[n], one.positions[-1])[0] == one.stop.kind
+            assert (one.stop.kind, one.stop.number) == followed(rows[n - 1], rows[n], one.positions[-1])[:2]
         else:
             assert n == len(rows)
     assert {"pair", ends_by} <= kinds
+    assert sharp >= 2
     assert {(True, True), (False, False)} <= stoppers
 
 
