@@ -13,6 +13,7 @@ import pinocchio as pin
 
 from coopqp.collision.built_scene import BuiltScene
 from coopqp.collision.coal_geometry import core_shape
+from coopqp.model.chain import moving_columns
 from coopqp.native import _core
 from coopqp.native.constants import DEEPEST, FARTHEST_POINT, LEAST_CLEARANCE
 from coopqp.spatial import Array
@@ -143,12 +144,15 @@ class Distances:
             "q_index": cell.position_index.astype(float),
             "continuous": continuous,
         }
+        carries = np.zeros(cell.nv)  # 1 for joints by which an arm evades: those that move its tool
+        carries[np.concatenate(moving_columns(cell))] = not cell.groups
         own = {
             **bounds.arrays(),
             "kinds": self._kinds,
             "continuous": continuous,
             # A pair moves with two arms at most, and with what they share: then all joints count as one arm's.
             "arm": np.array([0 if cell.groups else cell.arm_of_joint(j) for j in range(cell.nv)], dtype=float),
+            "carries": carries,
             "jacobian": self._data.J.T,
         }
         shapes = core_shapes(model, geometry)

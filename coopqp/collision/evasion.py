@@ -11,6 +11,7 @@ import pinocchio as pin
 from coopqp.collision.built_scene import BuiltScene
 from coopqp.collision.distances import Distances, LowerBounds
 from coopqp.model.cell import RobotCell
+from coopqp.model.chain import moving_columns
 from coopqp.native.constants import EVADES_EARLY, GENTLE, HELPS, SMALL_CLEARANCE, YIELDS
 from coopqp.planning.joint_trajectories import CellTrajectory
 from coopqp.spatial import Array
@@ -21,6 +22,11 @@ APPROACH, COMFORT = 5.0, 0.03
 _PIECES = 150
 #: Accepted violation of a row; DAQP's default is 1e-6.
 _TOLERANCE = 1e-10
+
+
+def carrying(cell: RobotCell) -> list[npt.NDArray[np.intp]]:
+    """Per arm, the velocity coordinates of its own joints that move its tool."""
+    return [np.setdiff1d(columns, cell.shared) for columns in moving_columns(cell)]
 
 
 @final
@@ -40,7 +46,7 @@ class Evasion:
         self._cell, self._data = cell, cell.model.createData()
         speed = cell.limits.velocity
         self._scale = np.where(np.isfinite(speed), speed, 1.0)
-        self._arms = [k for k, own in enumerate(cell.v_slices) if own.stop - own.start > 6]
+        self._arms = {k: own for k, own in enumerate(carrying(cell)) if len(own) > 6}
 
     def __bool__(self) -> bool:
         return bool(self._arms)
@@ -50,8 +56,7 @@ class Evasion:
         model, cell = self._cell.model, self._cell
         pin.computeJointJacobians(model, self._data, q)
         columns: list[Array] = []
-        for k in self._arms:
-            own = cell.v_slices[k]
+        for k, own in self._arms.items():
             J = np.asarray(pin.getFrameJacobian(model, self._data, cell.tool_frames[k], pin.LOCAL))[:, own]
             scale = self._scale[own]
             rest: npt.NDArray[np.float64] = np.linalg.svd(J * scale)[2][6:]
@@ -133,7 +138,7 @@ def evading_trajectory(built: BuiltScene, way: CellTrajectory) -> tuple[Array, A
         places on the way (K,) and joint positions (K, nv) there; None without redundant arms.
     """
     cell = built.cell
-    if all(own.stop - own.start <= 6 for own in cell.v_slices):
+    if all(len(own) <= 6 for own in carrying(cell)):
         return None
     evading = EvadingSlopes(built, LowerBounds(built, Distances(built)), approach=APPROACH, comfort=COMFORT)
     pieces = max(1, -(-_PIECES // max(len(way.places) - 1, 1)))

@@ -37,34 +37,35 @@ static void find_null_space(double (&A)[6][MOST_JOINTS], int n, double (&Z)[MOST
     }
 }
 
-/* An orthonormal basis of each redundant arm's self-motion, in units of its joints' speeds. */
-void Evasion::find_basis(Shapes &shapes, const In &arm, const In &speeds) {
+/* An orthonormal basis of each redundant arm's self-motion, in units of its joints' speeds: of its joints that carry the tool. */
+void Evasion::find_basis(Shapes &shapes, const In &arm, const In &carries, const In &speeds) {
     const Py_ssize_t nv = arm.size;
     basis.clear();
     for (Py_ssize_t begin = 0, end; begin < nv; begin = end) {
-        for (end = begin; end < nv && arm.data[end] == arm.data[begin];) end++;
-        const Py_ssize_t n = end - begin;
-        if (n <= 6 || n > MOST_JOINTS) continue;
+        Py_ssize_t joint[MOST_JOINTS], n = 0;
+        for (end = begin; end < nv && arm.data[end] == arm.data[begin]; end++)
+            if (carries.data[end] != 0.0 && n < MOST_JOINTS) joint[n++] = end;
+        if (n <= 6) continue;
         double scale[MOST_JOINTS], tool[6][MOST_JOINTS], still[MOST_JOINTS][MOST_JOINTS];
         for (Py_ssize_t i = 0; i < n; i++) {
-            scale[i] = speeds.data[begin + i] < FASTEST_JOINT ? speeds.data[begin + i] : 1.0;
-            const Vector6 &moved = shapes.twist((size_t)(begin + i)); /* what each joint does to the tool */
+            scale[i] = speeds.data[joint[i]] < FASTEST_JOINT ? speeds.data[joint[i]] : 1.0;
+            const Vector6 &moved = shapes.twist((size_t)joint[i]); /* what each joint does to the tool */
             for (int k = 0; k < 6; k++) tool[k][i] = scale[i] * moved[k];
         }
         find_null_space(tool, (int)n, still);
         for (Py_ssize_t z = 0; z < n - 6; z++) {
             basis.resize(basis.size() + (size_t)nv);
             double *column = basis.data() + basis.size() - nv;
-            for (Py_ssize_t i = 0; i < n; i++) column[begin + i] = scale[i] * still[z][i];
+            for (Py_ssize_t i = 0; i < n; i++) column[joint[i]] = scale[i] * still[z][i];
         }
     }
 }
 
 /* min |z|² + |s|² with G (q′ + N z) + s / YIELDS >= lower: of rows that self-motion changes, with unit norm. */
-void Evasion::move(Shapes &shapes, const In &arm, const In &speeds, double *slope) {
+void Evasion::move(Shapes &shapes, const In &arm, const In &carries, const In &speeds, double *slope) {
     using Rows = Eigen::Matrix<double, Eigen::Dynamic, Eigen::Dynamic, Eigen::RowMajor>;
     using Numbers = Eigen::Map<Eigen::VectorXd>;
-    find_basis(shapes, arm, speeds);
+    find_basis(shapes, arm, carries, speeds);
     const Py_ssize_t nv = arm.size, motions = (Py_ssize_t)basis.size() / nv, all = (Py_ssize_t)missing.size();
     const Eigen::Map<const Eigen::MatrixXd> N(basis.data(), nv, motions);
     turned.resize((size_t)(all * motions));

@@ -187,7 +187,8 @@ Nearby::Nearby(const nb::dict &arrays, const Settings &settings, Coal &&coal_giv
     take(arrays, "clearances", clearances, P), take(arrays, "at", at, nv), take(arrays, "counts", counts, 2);
     take(arrays, "reach", reach, nv * P), take(arrays, "margins", margins, P), take(arrays, "most", most, P);
     take(arrays, "fastest", fastest, P), take(arrays, "kinds", kinds, nv * P);
-    take(arrays, "continuous", continuous, nv), take(arrays, "arm", arm, nv), take(arrays, "speeds", speeds, nv);
+    take(arrays, "continuous", continuous, nv), take(arrays, "arm", arm, nv);
+    take(arrays, "carries", carries, nv), take(arrays, "speeds", speeds, nv);
     take(arrays, "jacobian", jacobian, 6 * nv);
     take(arrays, "positions", positions, nv), take(arrays, "command", command, nv), take(arrays, "dt", dt, 1);
     take(arrays, "lower", lower, -1);
@@ -596,6 +597,6 @@ bool Nearby::evade() {
         evasion.add(row, lacks - first + first * first / (2.0 * GENTLE));
         any = any || lacks > 0.0;
     }
-    if (any) evasion.move(shapes, arm, speeds, evading_slope.data);
+    if (any) evasion.move(shapes, arm, carries, speeds, evading_slope.data);
     return true;
 }

@@ -94,10 +94,10 @@ public:
     /* A row G of distances (joints) that lacks so much speed. */
     void add(const std::vector<double> &G, double lacks);
     /* Add self-motion of the arms (a number of each joint) to slopes, the shapes placed where they are. */
-    void move(Shapes &shapes, const In &arm, const In &speeds, double *slope);
+    void move(Shapes &shapes, const In &arm, const In &carries, const In &speeds, double *slope);
 
 private:
-    void find_basis(Shapes &shapes, const In &arm, const In &speeds);
+    void find_basis(Shapes &shapes, const In &arm, const In &carries, const In &speeds);
     std::vector<double> rows, missing;
     std::vector<double> basis, turned, room; /* columns of N; G N; scratch of a move */
     std::vector<Py_ssize_t> helping;         /* rows that self-motion changes */
@@ -175,7 +175,7 @@ private:
     Shapes shapes;
     Py_ssize_t pairs, joints, most_rows;
     Out clearances, at, counts;
-    In reach, margins, most, fastest, kinds, continuous, arm, speeds, jacobian; /* of the scene */
+    In reach, margins, most, fastest, kinds, continuous, arm, carries, speeds, jacobian; /* of the scene */
     In positions, command, dt;                                                  /* of the step */
     Out G, lower, upper, soft, owner, centre, weights, slack, approach;
     In evading_positions; /* of a knot that is tried, or expected next */

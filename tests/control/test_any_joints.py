@@ -8,14 +8,18 @@ import numpy as np
 import pinocchio as pin
 import pytest
 from cells import grasp_at
-from odd_cells import HUMANOID, ODD_CELLS, arm, arms_on_one_waist, plain_arm, posture, robot, row
+from odd_cells import HUMANOID, ODD_CELLS, arm, arms_on_one_waist, plain_arm, posture, robot, row, turret
 
 from coopqp import LinePath, QPController, RobotCell
+from coopqp.collision import Body, Box, Clearance, CollisionScene
 from coopqp.errors import ModelError
 from coopqp.model import CellState
 from coopqp.model.batch import ArmKinematics
 
 DT = 0.01
+#: Joints of two arms, six and seven [rad], and a place that the second one's elbow comes to [m].
+ELBOW = (-0.58, -0.368, 0.422, 0.115, -0.568, -0.094, -0.029, -0.476, 0.328, -0.541, 0.023, -0.097, 0.122)
+POST = np.array([0.065, 0.02, 0.624])
 
 
 @pytest.mark.parametrize("acceleration", [None, 5.0])
@@ -71,6 +75,30 @@ def test_a_joint_that_moves_no_tool_changes_nothing(tmp_path: Path) -> None:
     for cell in others:
         for now, then in zip(velocities(cell), expected, strict=True):
             assert now == pytest.approx({name: then[name] for name in now}, abs=1e-9)
+
+
+def test_an_arm_evades_by_the_joints_that_move_its_tool(tmp_path: Path) -> None:
+    """A turret on it stands, and the elbow keeps off a post as it does without: the object goes on."""
+    made = []
+    for kind in ("continuous", "fixed"):
+        text = row("j", "base", 7, "0 0 0.1") + turret("a_mast", "j_link_3").replace("continuous", kind)
+        cell = RobotCell([plain_arm(tmp_path), arm("arm", text, "j_link_6", tmp_path)]).with_limits(acceleration=5.0)
+        x = dict(zip([n for n in cell.joint_names if "mast" not in n], ELBOW, strict=True))
+        q = cell.configuration([x.get(name, 0.3) for name in cell.joint_names])
+        grasp = grasp_at(cell, q)
+        start = grasp.carried(CellState(cell, q))[0]
+        path = LinePath.displaced(start, translation=(0.15, 0.15, 0.1), duration=1.0)
+        post = Body("post", Box((0.04, 0.04, 0.04)), pin.SE3(np.eye(3), POST))
+        on_links = {"arm/j_link_3": [Body("elbow", Box((0.1, 0.1, 0.1)))]}
+        scene = CollisionScene(cell=cell, grasp=grasp, obstacles=[post], on_links=on_links)
+        controller = QPController(cell, grasp, path, dt=DT, constraints=[Clearance(scene)])
+        controller.reset(q)
+        steps = [controller.step() for _ in range(60)]
+        made.append([dict(zip(cell.joint_names, step.velocity, strict=True)) for step in steps])
+    assert "elbow and post" in steps[-1].explain()
+    for with_it, without in zip(*made, strict=True):
+        assert with_it.pop("arm/a_mast") == 0.0
+        assert with_it == pytest.approx(without, abs=1e-7)
 
 
 def test_too_many_joints_or_arms_are_named(tmp_path: Path) -> None:
