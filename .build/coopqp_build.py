@@ -1,8 +1,9 @@
 """The build backend: scikit-build-core, and on Linux without a C++ compiler one from the package index.
 
-Zig's compiler (``ziglang``) is Clang with libc++, and needs nothing else. Its first call compiles libc++ and keeps it
-in the user's cache. A compiler that works is never replaced, and a CXX that is set is left to CMake, as is every other
-system.
+Zig's compiler (``ziglang``) is Clang with libc++, and needs nothing else. The first program that it links has it
+compile libc++, a minute of work: it keeps that in the user's cache, but only for the folder where it is installed, and
+installers have a new one for each build. A compiler that works is never replaced, and a CXX that is set is left to
+CMake, as is every other system.
 """
 
 from __future__ import annotations
