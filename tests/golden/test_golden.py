@@ -1061,6 +1061,19 @@ def test_arms_with_few_joints(golden: Golden, name: str, mode: str) -> None:
         run_in(golden, mode, limited_once(functools.partial(ready, name), acceleration), 60, same=DISTURBED)
 
 
+@pytest.mark.core
+def test_arms_with_few_joints_away_from_a_path_that_they_cannot_follow(golden: Golden) -> None:
+    """Two SCARAs are told to turn the object about any axis: the look-ahead slows it for what they can."""
+    task = limited_once(functools.partial(ready, "scara_pair"), 10.0)
+    for seed in (1, 5):
+        rng = np.random.default_rng(seed)
+        way, turn = 0.15 * rng.normal(size=3), 0.2 * rng.normal(size=3)
+        path = LinePath.displaced(task.path.pose(0.0), translation=way, rotation=turn, duration=0.6, time_law="linear")
+        run = golden.start(dataclasses.replace(task, path=path), dt=0.01)
+        run.same = DISTURBED
+        assert run.run(90).seen == {Status.OFF_PATH, Status.SLOWED}
+
+
 # -- at random, in short -----------------------------------------------------------------------------------------------
 
 

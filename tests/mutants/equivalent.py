@@ -136,6 +136,12 @@ EQUIVALENT: dict[tuple[str, str, str], str] = {
         },
         "coopqp/native/step.cpp": {
             ("entries[4 * count + 1] = -1.0;", ";"): "the arm is read only where it is written afterwards",
+            (
+                "if (!(kept->stride > 0.0) || --kept->left > 0.0 || "
+                "!(kept->count >= 0.0 && kept->count < MOST_TRAVELS)) return;",
+                "if (!(kept->stride > 0.0) || --kept->left > 0.0 || "
+                "!(kept->count >= 0.0 || kept->count < MOST_TRAVELS)) return;",
+            ): "the operator takes them before there are so many",
         },
         "coopqp/native/braking.cpp": {
             (
@@ -150,7 +156,47 @@ EQUIVALENT: dict[tuple[str, str, str], str] = {
             ): "a row that is scaled by another positive number is the same; rows without a slack have the unit 0",
             ("return 1;", "return 2;"): "asked for as yes or no",
         },
+        "coopqp/native/paths.cpp": {
+            (
+                "const Place share = on_law((at - shift[0]) / span, 1.0, 0.0, span);",
+                "const Place share = on_law((at - shift[0]) / span, 1.0, 2.0, span);",
+            ): "only the law of even acceleration has a speed at the start",
+            (
+                "const double *last = c->path_numbers + 3 + count_of(c, 1) + SEGMENT * (count_of(c, 2) - 1);",
+                "const double *last = c->path_numbers - 3 + count_of(c, 1) + SEGMENT * (count_of(c, 2) - 1);",
+            ): "only segments are compared with it, which are 29 numbers apart",
+        },
+        "coopqp/native/residual.cpp": {
+            (
+                "const auto scratch = [&](int i) { return Twists(c->scratch + 6 * i * c->arms, 6, c->arms); };",
+                "const auto scratch = [&](int i) { return Twists(c->scratch + 6 * i * c->arms, 7, c->arms); };",
+            ): "the number of rows is part of the type",
+        },
+        "coopqp/native/watch.cpp": {
+            (
+                "const auto scratch = [&](int i) { return Twists(c->scratch + 6 * i * c->arms, 6, c->arms); };",
+                "const auto scratch = [&](int i) { return Twists(c->scratch + 7 * i * c->arms, 6, c->arms); };",
+            ): "there is room to leave some",
+            (
+                "return finite && away.allFinite();",
+                "return finite || away.allFinite();",
+            ): "steps and positions that are not finite are refused before",
+        },
+        "coopqp/native/kinematics.cpp": {
+            ("if (!(d2 < 2.5e-3)) {", "if (!(d2 < 2.5e-3 * 2)) {"): "the series are as exact as rounding there, too",
+        },
+        "coopqp/native/nearby.cpp": {
+            (
+                "if (count++ == 2 * SHARPENED_EARLY) return true;",
+                "if (count++ == 3 * SHARPENED_EARLY) return true;",
+            ): "how many pairs a step looks at: a choice",
+            (
+                "for (size_t j = 0; j < coming.size(); j++) way[j] = WIDER * fabs(coming[j]);",
+                "for (size_t j = 0; j < coming.size(); j++) way[j] = WIDER / fabs(coming[j]);",
+            ): "how early pairs are looked at: a choice",
+        },
         "coopqp/native/chain_ahead.cpp": {
+            ("k->corner = 1.0;", "k->corner = 1.0 * 2;"): "asked for as yes or no",
             (
                 "return {reinterpret_cast<Pose *>(c->sketch), {errors, 6, n}, "
                 "{errors + 6 * n, 6, n}, {jacobian, 6, nv},",
