@@ -9,6 +9,7 @@ import numpy as np
 import pinocchio as pin
 import pytest
 from cells import grasp_at
+from odd_cells import one_on_the_first_of_two
 from torsos import robot_of
 
 from coopqp import LinePath, QPController, RobotCell, Status, SupervisionOptions
@@ -51,11 +52,16 @@ def bent_least(J: Array, off: Array, stiffness: Array) -> Array:
     return np.asarray(x[:nv] / np.sqrt(stiffness))
 
 
-@pytest.mark.parametrize("arm", [0, 1])
-@pytest.mark.parametrize("torso", [None, *TORSOS])
+@pytest.mark.parametrize(
+    ("torso", "arm"),
+    [*((torso, arm) for torso in (None, *TORSOS) for arm in (0, 1)), ("one of two", 0), ("one of two", 2)],
+)
 def test_the_arm_that_hangs_behind_is_named_with_its_gap_and_pull(torso: str | None, arm: int, tmp_path: Path) -> None:
     """The object has moved along a twist to rest; the targets of one arm's servos stay behind on it."""
-    cell = RobotCell([robot_of(TORSOS[torso], tmp_path)]) if torso else ring(arms=2).cell
+    if torso == "one of two":  # of the torso's joints the third arm has the first alone
+        cell = one_on_the_first_of_two(tmp_path)
+    else:
+        cell = RobotCell([robot_of(TORSOS[torso], tmp_path)]) if torso else ring(arms=2).cell
     rng = np.random.default_rng(2 + arm)
     q, stiffness = regular(cell, rng), rng.uniform(5e3, 1e4, cell.nv)
     grasp = grasp_at(cell, q)
