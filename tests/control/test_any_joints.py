@@ -10,11 +10,13 @@ import pytest
 from cells import grasp_at
 from odd_cells import HUMANOID, ODD_CELLS, arm, arms_on_one_waist, plain_arm, posture, robot, row, turret
 
-from coopqp import LinePath, QPController, RobotCell
+from coopqp import HoldPath, LinePath, QPController, RobotCell
 from coopqp.collision import Body, Box, Clearance, CollisionScene
 from coopqp.errors import ModelError
 from coopqp.model import CellState
 from coopqp.model.batch import ArmKinematics
+from coopqp.paths import JointPath
+from coopqp.programs import FollowsJoints, Phase, Program, Travels
 
 DT = 0.01
 #: Joints of two arms, six and seven [rad], and a place that the second one's elbow comes to [m].
@@ -75,6 +77,38 @@ def test_a_joint_that_moves_no_tool_changes_nothing(tmp_path: Path) -> None:
     for cell in others:
         for now, then in zip(velocities(cell), expected, strict=True):
             assert now == pytest.approx({name: then[name] for name in now}, abs=1e-9)
+
+
+def test_an_arm_follows_a_way_of_the_joints_that_move_its_tool(tmp_path: Path) -> None:
+    """While it holds nothing, and then takes the object again; a turret between its joints stands."""
+    arms = ODD_CELLS["joints_that_move_no_tool"](tmp_path).arms
+    third = arm("third", row("j", "base", 6, "0 0 0.1"), "j_link_5", tmp_path, -1.0)
+    cell = RobotCell([*arms, third]).with_limits(acceleration=20.0)
+    q = posture(cell)
+    grasp = grasp_at(cell, q)
+    own = [cell.joint_names.index(f"arm/j_{i}") for i in range(6)]
+    x = cell.positions(q)[own]
+    way, here = JointPath([x, x + 0.1, x], 1.0), grasp.carried(CellState(cell, q))[0]
+    program = Program(cell, grasp, [
+        Phase("go", arms={"arm": FollowsJoints(way)}, path=HoldPath(here, duration=2.0)),
+        Phase("back", arms={"arm": Travels(to=grasp.T_object_tool[0], retreat_m=0.0)}, duration=0.2),
+    ])  # fmt: skip
+    controller = QPController(cell, grasp, program, dt=DT)
+    controller.reset(q)
+    away = 0.0
+    for _ in range(400):
+        step = controller.step()
+        x = cell.positions(step.q_next)
+        if step.clock_next < way.duration - 1e-9:
+            expected = way.at(step.clock_next)[0]
+            assert np.abs(x[own] - expected).max() < 1e-5
+            away = max(away, float(np.abs(expected - way.at(0.0)[0]).max()))
+        assert not step.velocity[[cell.joint_names.index(f"arm/{name}") for name in ("a_base", "a_mast")]].any()
+        if step.finished:
+            break
+    assert step.finished
+    assert away > 0.09
+    assert np.abs(grasp.relative_errors(CellState(cell, step.q_next))).max() < 1e-5
 
 
 def test_an_arm_evades_by_the_joints_that_move_its_tool(tmp_path: Path) -> None:
