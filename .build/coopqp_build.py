@@ -1,8 +1,8 @@
 """The build backend: scikit-build-core, and on Linux without a C++ compiler one from the package index.
 
 Zig's compiler (``ziglang``) is Clang with libc++, and needs nothing else. The first program that it links has it
-compile libc++, a minute of work: it keeps that in the user's cache, but only for the folder where it is installed, and
-installers have a new one for each build. A compiler that works is never replaced, and a CXX that is set is left to
+compile libc++, a minute of work: it keeps that in the user's cache, but a Zig that is installed anew makes another, and
+installers do so for each build. A compiler that works is never replaced, and a CXX that is set is left to
 CMake, as is every other system.
 """
 
