@@ -12,7 +12,7 @@ from coopqp.native import constants
 #: Constants of the core's own linear algebra of singular arms, and of its increment along a plan's pieces.
 ONLY_IN_THE_CORE = {
     "SMALLEST_PIVOT", "LONG_LEVER", "FAR_PIVOT", "FAR_ROOM", "EIGEN_ROUNDING", "EIGEN_STEPS", "MOST_SWEEPS",
-    "SMALL_ROTATION", "SAME_AXIS", "WELL_INVERTED", "MOST_SHARED", "RATE_CANDIDATES",
+    "SMALL_ROTATION", "SAME_AXIS", "WELL_INVERTED", "MOST_SHARED",
 }  # fmt: skip
 
 
