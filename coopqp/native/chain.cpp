@@ -330,9 +330,28 @@ static double far_velocities(const double *jacobian, const double *scale, int n,
     return arm_velocities(near.data(), scale, n, twist_at(w0, way), twist_at(w1, way), u0, u1, v0, v1);
 }
 
+static inline double near_or_far(const double *J, const double *scale, int n, const Vector6 &w0, const Vector6 &w1,
+                                 const double *u0, const double *u1, double *v0, double *v1) {
+    const double least = arm_velocities(J, scale, n, w0, w1, u0, u1, v0, v1);
+    return least > 0.0 ? least : far_velocities(J, scale, n, w0, w1, u0, u1, v0, v1);
+}
+
+static const double no_wish[MOST_JOINTS] = {};
+
+/* The same of an arm whose own joints are not in line; wishes and velocities are of all joints. */
+static double gathered_velocities(const Core *c, const ArmJoints &a, const double *jacobian, const Vector6 &w0,
+                                  const Vector6 &w1, const double *u0, const double *u1, double *v0, double *v1) {
+    double columns[6 * MOST_JOINTS], units[MOST_JOINTS], wishes[2][MOST_JOINTS], found[2][MOST_JOINTS];
+    const double *J = side_by_side(a, jacobian, 6, columns), *scale = side_by_side(a, c->scale, 1, units);
+    const double *wish0 = u0 ? side_by_side(a, u0, 1, wishes[0]) : no_wish;
+    const double *wish1 = u1 ? side_by_side(a, u1, 1, wishes[1]) : no_wish;
+    const double least = near_or_far(J, scale, a.n, w0, w1, wish0, wish1, found[0], found[1]);
+    spread(a, found[0], v0), spread(a, found[1], v1);
+    return least;
+}
+
 static int two_velocities(Core *c, const double *jacobian, const Twists &w0, const Vector6 &w1, const double *u0,
                           const double *u1, double *v0, double *v1, const double *own1) {
-    static const double still[MOST_JOINTS] = {};
     for (int k = 0; k < c->arms; k++) {
         if (group_of(c, k)) continue;
         const ArmJoints &a = joints_of(c, k);
@@ -341,15 +360,12 @@ static int two_velocities(Core *c, const double *jacobian, const Twists &w0, con
             c->least_pivot[k] = INFINITY;
             continue;
         }
-        double columns[6 * MOST_JOINTS], units[MOST_JOINTS], room[4][MOST_JOINTS];
-        const double *J = side_by_side(a, jacobian, 6, columns), *scale = side_by_side(a, c->scale, 1, units);
-        const double *wish0 = u0 ? side_by_side(a, u0, 1, room[0]) : still, *wish1 = u1 ? side_by_side(a, u1, 1, room[1]) : still;
-        double *first = place_for(a, v0, room[2]), *other = place_for(a, v1, room[3]);
         const Vector6 own = w0.col(k), second = own1 ? Vector6(Eigen::Map<const Vector6>(own1 + 6 * k)) : w1;
-        double least = arm_velocities(J, scale, a.n, own, second, wish0, wish1, first, other);
-        if (!(least > 0.0)) least = far_velocities(J, scale, a.n, own, second, wish0, wish1, first, other);
+        const int j = a.start;
+        const double least = a.in_line ? near_or_far(jacobian + 6 * j, c->scale + j, a.n, own, second, u0 ? u0 + j : no_wish,
+                                                     u1 ? u1 + j : no_wish, v0 + j, v1 + j)
+                                       : gathered_velocities(c, a, jacobian, own, second, u0, u1, v0, v1);
         if (!(least > 0.0)) return 0;
-        spread(a, first, v0), spread(a, other, v1);
         c->least_pivot[k] = least;
     }
     for (int i = 0; i < c->groups; i++)

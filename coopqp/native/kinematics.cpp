@@ -32,9 +32,10 @@ static inline void pass_joint(const Core *c, int j, const double *positions, con
     if (!slides) turn(c, j, positions[j], &s, &co);
     advance(f, c->link_R + 9 * j, c->link_p + 3 * j, slides, positions[j], s, co);
     if (jacobian) twist_of(f.axis(), f.origin(), slides, *about, jacobian + 6 * j);
-    if (slides || pitch == 0.0) return;
-    f.p += f.z * (pitch * positions[j]);
-    if (jacobian) Eigen::Map<Vector3>(jacobian + 6 * j) += pitch * f.axis();
+    if (pitch != 0.0 && !slides) {
+        f.p += f.z * (pitch * positions[j]);
+        if (jacobian) Eigen::Map<Vector3>(jacobian + 6 * j) += pitch * f.axis();
+    }
 }
 
 /* Columns of J of an arm's own joints, the twists that they give to a point, in world axes; and the object as it carries it. From
@@ -42,7 +43,10 @@ static inline void pass_joint(const Core *c, int j, const double *positions, con
 static inline void follow_own(const Core *c, int k, Frame f, const double *positions, const Vector3 *about, Pose *O,
                               double *jacobian) {
     const ArmJoints &a = joints_of(c, k);
-    for (int i = 0; i < a.n; i++) pass_joint(c, a.own(i), positions, about, f, jacobian);
+    if (a.in_line)
+        for (int j = a.start; j < a.start + a.n; j++) pass_joint(c, j, positions, about, f, jacobian);
+    else
+        for (int i = 0; i < a.n; i++) pass_joint(c, a.own(i), positions, about, f, jacobian);
     if (O) *O = held_at(f, c->object[k]);
 }
 

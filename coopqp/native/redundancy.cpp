@@ -12,14 +12,13 @@ static int self_motion(Core *c, int k, const double *jacobian, int j, double *wa
         for (int i = 0; i < g->joints; i++) way[i] = moved[g->joint[i]];
         return 1;
     }
-    static const double still[MOST_JOINTS] = {};
     const ArmJoints &a = joints_of(c, k);
     const Vector6 none = Vector6::Zero();
     double push[MOST_JOINTS] = {0}, other[MOST_JOINTS], columns[6 * MOST_JOINTS], units[MOST_JOINTS];
     const double *J = side_by_side(a, jacobian, 6, columns), *scale = side_by_side(a, c->scale, 1, units);
     push[j] = 1.0;
-    return arm_velocities(J, scale, a.n, none, none, push, still, way, other) > 0.0 ||
-           far_velocities(J, scale, a.n, none, none, push, still, way, other) > 0.0;
+    return arm_velocities(J, scale, a.n, none, none, push, no_wish, way, other) > 0.0 ||
+           far_velocities(J, scale, a.n, none, none, push, no_wish, way, other) > 0.0;
 }
 
 /* How joint `j` of these bends along a self-motion (n,) of arm k, or of its group: −A⁺ J′(w) w; 0 if it is singular. */
@@ -33,13 +32,12 @@ static double bend_of_joint(Core *c, int k, const double *jacobian, const double
         for (int i = 0; i < g->arms; i++) bends.col(g->arm[i]) = -bend(c, g->arm[i], jacobian, moving);
         return group_velocities(c, *g, jacobian, bends, nullptr, false, nullptr, nullptr, moved, other) ? moved[g->joint[j]] : 0.0;
     }
-    static const double still[MOST_JOINTS] = {};
     double columns[6 * MOST_JOINTS], units[MOST_JOINTS];
     const ArmJoints &a = joints_of(c, k);
     const double *J = side_by_side(a, jacobian, 6, columns), *scale = side_by_side(a, c->scale, 1, units);
     const Vector6 bends = -bend(c, k, jacobian, moving), none = Vector6::Zero();
-    const bool found = arm_velocities(J, scale, n, bends, none, still, still, moved, other) > 0.0 ||
-                       far_velocities(J, scale, n, bends, none, still, still, moved, other) > 0.0;
+    const bool found = arm_velocities(J, scale, n, bends, none, no_wish, no_wish, moved, other) > 0.0 ||
+                       far_velocities(J, scale, n, bends, none, no_wish, no_wish, moved, other) > 0.0;
     return found ? moved[j] : 0.0;
 }
 
