@@ -39,11 +39,10 @@ test: $(VENV)/.installed
 	@mkdir -p out
 	$(PYTEST) --reliability-json=out/reliability.json
 
-# The catalogue of docs/reliability.md with ten times the cases, random ones each time; hours. And both kernels in every
-# scenario and every mode.
+# The catalogue of docs/reliability.md with ten times the cases, random ones each time; hours.
 test-nightly: $(VENV)/.installed
 	@mkdir -p out
-	HYPOTHESIS_PROFILE=nightly $(PYTEST) tests/reliability tests/control/test_lockstep.py --timeout 36000 --reliability-json=out/reliability.json
+	HYPOTHESIS_PROFILE=nightly $(PYTEST) tests/reliability --timeout 36000 --reliability-json=out/reliability.json
 
 lint: $(VENV)/.installed
 	$(BIN)/ruff check .
@@ -59,7 +58,7 @@ core: $(VENV)/.installed
 
 # The tests marked core in a copy of the package whose core stops at the first wrong access to memory and the first
 # undefined operation. The lines before them make sure that it is this core that the tests get. Eight tests are skipped:
-# they compare roundings of cores that are compiled alike. Tests of the definition alone (plain) are left out.
+# they compare roundings of cores that are compiled alike.
 # SOME="and not slow" leaves slow tests out, too. The arithmetic is compiled once: with AVX2 it is the same code.
 sanitize: export PYTHONPATH := $(CURDIR)/tests/elsewhere:$(CURDIR)/$(SANITIZED)/tree
 sanitize: export ASAN_OPTIONS := detect_leaks=0
@@ -76,7 +75,7 @@ sanitize: $(VENV)/.installed
 	export LD_PRELOAD="$$(cc -print-file-name=libasan.so) $$(cc -print-file-name=libstdc++.so.6)" PYTHONMALLOC=malloc; \
 	(cd $(SANITIZED) && $(CURDIR)/$(BIN)/python -c \
 	  'from coopqp.native import _core as n; assert "$(SANITIZED)/tree" in n.__file__, n.__file__') && \
-	$(PYTEST) -m "core $(SOME)" -k "not plain" --capture sys -p no:cacheprovider
+	$(PYTEST) -m "core $(SOME)" --capture sys -p no:cacheprovider
 
 # Would a test fail if the code said something else? MUTANTS in each package and in the C code: hours; 5 for a look.
 mutation: $(VENV)/.installed

@@ -6,9 +6,11 @@ processes do so, one after the other. Records have the keys
 
 ``case``, ``arms``, ``pacing``, ``commit``   the row;
 ``p50_us``, ``p50_us_there``                 median of all steps here, and there;
+``p99_us``, ``p99_us_there``   their 99th percentiles;
 ``ratio``          here / there: the median over the rounds of the ratio of their medians;
+``p99_ratio``      the same of their 99th percentiles;
 ``more_us``        here − there: the median over the rounds of the difference of their medians;
-``good``           ratio ≤ :data:`MOST_RATIO` or more_us ≤ :data:`MOST_US`;
+``good``           ratio ≤ :data:`MOST_RATIO` or more_us ≤ :data:`MOST_US`, and, paced, p99_ratio ≤ :data:`MOST_P99`;
 ``failures``, ``note``   steps that failed here or there, and the first one's reason.
 """
 
@@ -31,12 +33,14 @@ import peer_cases
 from common import Record
 from contestants import HERE, PACES, Contestant, NotAvailable, hand_over, ratio
 
-#: A row is good if it takes at most this much of the other commit's time, or at most this much longer [µs].
-MOST_RATIO, MOST_US = 1.05, 0.1
+#: A row is good if it takes at most this much of the other commit's time, or at most this much longer [µs], and a paced
+#: one also if its 99th percentile takes at most this much. The median of all rows is good at 1.
+MOST_RATIO, MOST_US, MOST_P99 = 1.03, 0.1, 1.05
 #: Pairs of processes: two of one commit differ, by where their memory lies, as long as they run.
 PAIRS = 5
 KEYS = (
-    "case", "arms", "pacing", "commit", "p50_us", "p50_us_there", "ratio", "more_us", "good", "failures", "note",
+    "case", "arms", "pacing", "commit", "p50_us", "p50_us_there", "p99_us", "p99_us_there", "ratio", "p99_ratio",
+    "more_us", "good", "failures", "note",
 )  # fmt: skip
 #: On PYTHONPATH, lets a copy of the package be imported in place of an editable installation.
 _ELSEWHERE = HERE.parent / "tests" / "elsewhere"
@@ -114,18 +118,20 @@ def rounds_of(
     return found
 
 
-def judged(here: Sequence[Round], there: Sequence[Round]) -> Record:
+def judged(here: Sequence[Round], there: Sequence[Round], *, paced: bool = False) -> Record:
     """The figures of a row."""
     own, other = ([times for times, _, _ in rounds] for rounds in (here, there))
     more = [float(np.median(a) - np.median(b)) for a, b in zip(own, other, strict=True) if a and b]
-    share, longer = ratio(own, other), float(np.median(more)) if more else None
-    p50 = [common.percentiles([x for times in rounds for x in times])["p50_us"] for rounds in (own, other)]
+    share, tail, longer = ratio(own, other), ratio(own, other, share=99.0), float(np.median(more)) if more else None
+    good = share is not None and longer is not None and (share <= MOST_RATIO or longer <= MOST_US)
+    mine, theirs = (common.percentiles([x for times in rounds for x in times]) for rounds in (own, other))
     return {
-        "p50_us": p50[0],
-        "p50_us_there": p50[1],
+        **mine,
+        **{f"{key}_there": value for key, value in theirs.items()},
         "ratio": share,
+        "p99_ratio": tail,
         "more_us": longer,
-        "good": share is not None and longer is not None and (share <= MOST_RATIO or longer <= MOST_US),
+        "good": good and (not paced or (tail is not None and tail <= MOST_P99)),
         "failures": sum(failed for _, failed, _ in (*here, *there)),
         "note": next((note for _, _, note in (*here, *there) if note), ""),
     }
@@ -163,7 +169,10 @@ def compare(
     progress.close()
     name = folder.name.partition("-")[2]
     return [
-        {"case": case, "arms": count, "pacing": pacing, "commit": name, **judged(*found[case, count, pacing])}
+        {
+            **{"case": case, "arms": count, "pacing": pacing, "commit": name},
+            **judged(*found[case, count, pacing], paced=PACES[pacing] > 0.0),
+        }
         for case, count, pacing in rows
     ]
 
@@ -180,8 +189,15 @@ def _round(contestant: Contestant, mode: str, steps: int, period: float, round_s
 
 
 def report(records: Sequence[Record]) -> str:
-    """The rows as Markdown, and how many are good."""
+    """The rows as Markdown, how many are good, and the median of all."""
     good = sum(bool(r["good"]) for r in records)
     commit = records[0]["commit"] if records else "no commit"
-    bound = f"≤ {MOST_RATIO:g} × or ≤ {MOST_US:g} µs more: {good} of {len(records)} rows"
-    return f"## Here ÷ {commit}\n\n{bound}\n\n{common.markdown_table(records, KEYS)}\n"
+    bound = f"≤ {MOST_RATIO:g} × or ≤ {MOST_US:g} µs more, paced p99 ≤ {MOST_P99:g} ×: {good} of {len(records)} rows"
+    ratios = [r["ratio"] for r in records if r["ratio"] is not None]
+    tails = [r["p99_ratio"] for r in records if PACES[r["pacing"]] > 0.0 and r["p99_ratio"] is not None]
+    medians = "\n".join(
+        f"- median of {what}: {np.median(values):.3f}, largest {max(values):.3f}"
+        for what, values in (("all rows", ratios), ("the p99 of the paced rows", tails))
+        if values
+    )
+    return f"## Here ÷ {commit}\n\n{bound}\n\n{medians}\n\n{common.markdown_table(records, KEYS)}\n"

@@ -89,7 +89,7 @@ def backend_alone(recorded: Sequence[Recorded]) -> list[Record]:
 
     records: list[Record] = []
     for one in recorded:
-        # Persistent memory has one size; a form may leave out an unknown without effect.
+        # Persistent memory has one size; a joint on its way back from outside its limits adds an unknown.
         sizes = [qp.problem.sizes for qp in one.qps]
         usual = max(set(sizes), key=sizes.count, default=None)
         problems = [qp.problem for qp in one.qps if qp.problem.sizes == usual]
@@ -106,7 +106,7 @@ def backend_alone(recorded: Sequence[Recorded]) -> list[Record]:
                 times[0].append(1e-3 * (between - began))
                 times[1].append(1e-3 * (time.thread_time_ns() - between))
             medians = [common.percentiles(row, shares=(50.0,))["p50_us"] or np.nan for row in times]
-            keys = {"solver": name, "case": one.case, "arms": one.arms, "form": one.form}
+            keys = {"solver": name, "case": one.case, "arms": one.arms}
             ratio = round(medians[0] / medians[1], 3)
             records.append({**keys, "kept_us": medians[0], "rebuilt_us": medians[1], "ratio": ratio})
     return records

@@ -24,7 +24,6 @@ import numpy as np  # noqa: E402
 import pinocchio as pin  # noqa: E402
 
 from coopqp import Grasp, RobotCell, WaypointPath  # noqa: E402
-from coopqp.native import available_kernels  # noqa: E402
 from coopqp.output import write_files  # noqa: E402
 from coopqp.paths import TimeLaw  # noqa: E402
 from coopqp.scenarios import Scenario, ring as coopqp_ring  # noqa: E402
@@ -150,19 +149,13 @@ def versions(packages: Iterable[str]) -> dict[str, str]:
     return found
 
 
-def kernel_name() -> str:
-    """Name of the default kernel of coopqp's step."""
-    return available_kernels()[0]
-
-
 def describe(title: str, settings: Mapping[str, Any]) -> dict[str, Any]:
-    """The context of a result: machine, versions, coopqp's kernel, settings."""
+    """The context of a result: machine, versions, settings."""
     packages = ("coopqp", "pin", "numpy", "daqp", "proxsuite", "osqp", "quadprog", "qpsolvers", "scipy")
     return {
         "benchmark": title,
         "machine": machine(),
         "versions": versions(packages),
-        "kernel": kernel_name(),
         "settings": {"BLAS threads": "1", **{key: str(value) for key, value in settings.items()}},
     }
 
@@ -173,7 +166,6 @@ def header(description: Mapping[str, Any]) -> str:
         key: ", ".join(f"{name} {value}" for name, value in description[key].items())
         for key in ("machine", "versions", "settings")
     }
-    parts["coopqp kernel"] = description["kernel"]
     return "\n".join([str(description["benchmark"]), *(f"  {key}: {text}" for key, text in parts.items())])
 
 

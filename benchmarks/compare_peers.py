@@ -7,8 +7,8 @@ What is timed is a period of a control loop. coopqp: ``step(reading)``, its stat
 Peers: the reading into their state where there is one, targets (ready made), kinematics, solve, integrate, and the next
 command as an array. Readings are made, and commands kept, outside the timed part. Records of cost have
 
-``case``, ``arms``, ``mode``, ``pacing``   see :mod:`peer_cases`; coopqp's modes are its kernels; "hot" or "1 kHz";
-``ratio``, ``ratio_plain``          coopqp / this record, its fastest kernel and its plain one, where both do the case;
+``case``, ``arms``, ``mode``, ``pacing``   see :mod:`peer_cases`; coopqp has one mode; "hot" or "1 kHz";
+``ratio``                           coopqp / this record, where both do the case;
 ``ratio_placo``, ``p99_ratio_placo``  coopqp's record / PlaCo's mode ``hard scaled`` in the same rounds, with the same
                                     pacing: of ``measured`` in that case, of ``nominal`` in all others;
 ``placo_p50_us``, ``placo_p99_us``    of that PlaCo in those rounds.
@@ -38,7 +38,6 @@ from contestants import CACHE, PACES, PINS, Contestant, NotAvailable, hand_over,
 
 from coopqp import QPOptions
 from coopqp.model.cell import RobotCell
-from coopqp.native import available_kernels
 from coopqp.simulation.evaluation.metrics import tool_placements
 from coopqp.spatial import Array
 
@@ -52,9 +51,9 @@ QUICK_MODES = {
 }
 #: Keys of every record.
 KEYS = (
-    "peer", "version", "case", "arms", "mode", "pacing", "p50_us", "p99_us", "ratio", "ratio_plain", "ratio_placo",
-    "p99_ratio_placo", "placo_p50_us", "placo_p99_us", "chain_mm", "chain_end_mm", "path_mm", "path_deg", "failures",
-    "steps", "finished", "rate_min", "limit_excess", "note",
+    "peer", "version", "case", "arms", "mode", "pacing", "p50_us", "p99_us", "ratio", "ratio_placo", "p99_ratio_placo",
+    "placo_p50_us", "placo_p99_us", "chain_mm", "chain_end_mm", "path_mm", "path_deg", "failures", "steps", "finished",
+    "rate_min", "limit_excess", "note",
 )  # fmt: skip
 #: The peer and its mode that coopqp's records are compared with, and its case by coopqp's, where it is not "nominal".
 REFERENCE, REFERENCE_MODE, REFERENCE_CASES = "placo", "hard scaled", {"measured": "measured"}
@@ -71,7 +70,6 @@ class Target:
     pacing: str
     key: str
     most: float
-    mode: str = "compiled"
     arms: int = 3
 
 
@@ -87,7 +85,6 @@ TARGETS = (
     Target("measured", "1 kHz", "p99_ratio_placo", 0.60),
     Target("measured", "1 kHz", "ratio_placo", 0.15, arms=8),
     Target("measured", "1 kHz", "ratio_placo", 0.07, arms=16),
-    Target("nominal", "hot", "p50_us", 120.0, mode="plain"),
 )
 
 
@@ -305,10 +302,7 @@ class Comparison:
                 values["failures"] = values["failures"] + entry.failures
                 values["note"] = values["note"] or entry.note
                 values["steps"] = sum(len(times) for times in entry.rounds)
-                # coopqp's first mode is its fastest kernel, the last one its plain one.
-                values["ratio"], values["ratio_plain"] = (
-                    ratio(own[k].rounds, entry.rounds) if own else None for k in (0, -1)
-                )
+                values["ratio"] = ratio(own[0].rounds, entry.rounds) if own else None
                 if entry in own and reference is not None:
                     values["ratio_placo"] = ratio(entry.rounds, reference.rounds)
                     values["p99_ratio_placo"] = ratio(entry.rounds, reference.rounds, share=99.0)
@@ -382,8 +376,8 @@ def report(records: Sequence[Record]) -> str:
         title = "## Behaviour: three arms, joints limited to 1 rad/s"
         parts.append(f"{title}\n\n" + common.markdown_table(behaviour, columns))
     timing = (
-        "peer", "mode", "p50_us", "p99_us", "ratio", "ratio_plain", "ratio_placo", "p99_ratio_placo", "failures",
-        "chain_mm", "path_mm",
+        "peer", "mode", "p50_us", "p99_us", "ratio", "ratio_placo", "p99_ratio_placo", "failures", "chain_mm",
+        "path_mm",
     )  # fmt: skip
     for case in peer_cases.COST:
         for arms in sorted({r["arms"] for r in records if r["case"] == case and r["mode"]}):
@@ -399,23 +393,22 @@ def report(records: Sequence[Record]) -> str:
 
 
 def against_placo(records: Sequence[Record]) -> str:
-    """coopqp ÷ PlaCo as a table, its fastest kernel and whatever has a target; targets stand beside the figures."""
-    targets = {(t.case, t.arms, t.mode, t.pacing, t.key): t.most for t in TARGETS}
-    figures = ("ratio_placo", "p99_ratio_placo", "p50_us")
+    """coopqp ÷ PlaCo as a table; targets stand beside the figures."""
+    targets = {(t.case, t.arms, t.pacing, t.key): t.most for t in TARGETS}
     rows: list[Record] = []
     for r in records:
         if r["peer"] != "coopqp" or r["pacing"] is None:
             continue
-        place = (r["case"], r["arms"], r["mode"], r["pacing"])
-        if r["mode"] != available_kernels()[0] and not any((*place, key) in targets for key in figures):
-            continue
         row = {**r, "placo_case": REFERENCE_CASES.get(r["case"], "nominal")}
-        for key in figures:
-            row[key] = _beside(r[key], targets.get((*place, key)))
+        for key in ("ratio_placo", "p99_ratio_placo"):
+            row[key] = _beside(r[key], targets.get((r["case"], r["arms"], r["pacing"], key)))
         rows.append(row)
     if not rows:
         return "## coopqp ÷ PlaCo\n\ncoopqp has no cost."
-    columns = ("case", "arms", "mode", "pacing", *figures, "placo_p50_us", "placo_case", "steps", "failures")
+    columns = (
+        "case", "arms", "pacing", "ratio_placo", "p99_ratio_placo", "p50_us", "placo_p50_us", "placo_case", "steps",
+        "failures",
+    )  # fmt: skip
     note = "In brackets: the most that is wanted. `placo_p50_us` is PlaCo (hard, scaled) in the same rounds."
     return f"## coopqp ÷ PlaCo\n\n{note}\n\n{common.markdown_table(rows, columns)}"
 
@@ -429,11 +422,15 @@ def _beside(found: float | None, most: float | None) -> str | None:
 
 def plot(records: Sequence[Record]) -> dict[str, bytes]:
     """Cost against the number of arms, as PNG; nothing without Matplotlib."""
-    shown = {"coopqp": available_kernels(), **QUICK_MODES}
     names = {"nominal": "", "qp": ", a QP every step"}
     curves: dict[str, list[tuple[float, float]]] = {}
     for r in records:
-        if r["case"] in names and r["pacing"] == "hot" and r["p50_us"] and r["mode"] in shown[r["peer"]]:
+        if (
+            r["case"] in names
+            and r["pacing"] == "hot"
+            and r["p50_us"]
+            and r["mode"] in QUICK_MODES.get(r["peer"], (r["mode"],))
+        ):
             label = f"{r['peer']} ({r['mode']}){names[r['case']]}"
             curves.setdefault(label, []).append((r["arms"], r["p50_us"]))
     if not curves:

@@ -1,4 +1,4 @@
-"""Every installed QP solver on recorded QPs: persistent and rebuilt, warm and cold, in both forms of the QP.
+"""Every installed QP solver on recorded QPs: persistent and rebuilt, warm and cold.
 
 The time of ``solve`` includes the checks before and after it. It is CPU time of the thread, without other processes.
 See benchmarks/README.md.
@@ -18,7 +18,7 @@ import common  # first: it limits BLAS to one thread
 import numpy as np
 from backend_alone import backend_alone
 from common import Record
-from recorded_qps import FORMS, Recorded, RecordedQp, export, record
+from recorded_qps import Recorded, RecordedQp, export, record
 
 from coopqp.solvers import GenericSettings, OsqpSettings, ProxqpSettings, QpSolver, available_solvers, make_solver
 from coopqp.spatial import Array
@@ -26,7 +26,6 @@ from coopqp.spatial import Array
 KEYS = (
     "solver",
     "mode",
-    "form",
     "case",
     "arms",
     "p50_us",
@@ -182,35 +181,31 @@ def best_answers(recorded: Recorded) -> list[Array | None]:
     return answers
 
 
-def compare(plan: Plan) -> tuple[list[Record], list[Recorded], list[Record]]:
-    """Solve everything. Returns records, recordings, and the differences between the solutions of both forms."""
+def compare(plan: Plan) -> tuple[list[Record], list[Recorded]]:
+    """Solve everything. Returns records and recordings."""
     each = ways()
-    progress = common.Progress(len(plan.recordings) * (1 + len(FORMS) * len(each) * plan.rounds))
+    progress = common.Progress(len(plan.recordings) * (1 + len(each) * plan.rounds))
     records: list[Record] = []
     recordings: list[Recorded] = []
-    agreement: list[Record] = []
     for case, arms, count in plan.recordings:
         progress.label = f"recording {case}, {arms} arms"
         progress.show()
-        pair = record(case, arms, count)
+        one = record(case, arms, count)
         progress.advance()
-        recordings += pair
-        best = [best_answers(one) for one in pair]
-        apart = [float(np.abs(a - b).max()) for a, b in zip(*best, strict=True) if a is not None and b is not None]
-        agreement.append({"case": case, "arms": arms, "qps": len(apart), "apart_rad_s": max(apart, default=None)})
-        for one, answers in zip(pair, best, strict=True):
-            runs = {way.name: Run(way, one.qps, answers, plan.round_s) for way in each}
-            gc.collect()
-            gc.disable()
-            try:
-                rounds = {name: partial(run.round) for name, run in runs.items()}
-                samples = common.interleaved(rounds, rounds=plan.rounds, progress=progress)
-            finally:
-                gc.enable()
-            missing = sum(answer is None for answer in answers)
-            records += [_record(run, one, samples[name], missing) for name, run in runs.items()]
+        recordings.append(one)
+        answers = best_answers(one)
+        runs = {way.name: Run(way, one.qps, answers, plan.round_s) for way in each}
+        gc.collect()
+        gc.disable()
+        try:
+            rounds = {name: partial(run.round) for name, run in runs.items()}
+            samples = common.interleaved(rounds, rounds=plan.rounds, progress=progress)
+        finally:
+            gc.enable()
+        missing = sum(answer is None for answer in answers)
+        records += [_record(run, one, samples[name], missing) for name, run in runs.items()]
     progress.close()
-    return records, recordings, agreement
+    return records, recordings
 
 
 def _record(run: Run, one: Recorded, samples: Array, missing: int) -> Record:
@@ -218,7 +213,6 @@ def _record(run: Run, one: Recorded, samples: Array, missing: int) -> Record:
     return {
         "solver": way.solver,
         "mode": way.mode,
-        "form": one.form,
         "case": one.case,
         "arms": one.arms,
         **common.percentiles(samples, shares=(50.0, 99.0, 99.9)),
@@ -237,18 +231,17 @@ def _record(run: Run, one: Recorded, samples: Array, missing: int) -> Record:
 
 def kept_ratios(records: Sequence[Record]) -> list[Record]:
     """Ratio of the medians persistent and warm / rebuilt, for the same recording and the same polishing."""
-    times = {(r["solver"], r["polish"], r["case"], r["arms"], r["form"], r["mode"], r["start"]): r for r in records}
+    times = {(r["solver"], r["polish"], r["case"], r["arms"], r["mode"], r["start"]): r for r in records}
     found = []
-    for (solver, polish, case, arms, form, mode, start), r in times.items():
+    for (solver, polish, case, arms, mode, start), r in times.items():
         if (mode, start) == ("kept", "warm") and solver not in ONLY_KEPT:
-            other = times[solver, polish, case, arms, form, "rebuilt", "cold"]
+            other = times[solver, polish, case, arms, "rebuilt", "cold"]
             found.append(
                 {
                     "solver": solver,
                     "polish": polish,
                     "case": case,
                     "arms": arms,
-                    "form": form,
                     "kept_us": r["p50_us"],
                     "rebuilt_us": other["p50_us"],
                     "ratio": round(r["p50_us"] / other["p50_us"], 3),
@@ -274,7 +267,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     }
     description = common.describe("compare_solvers", settings)
     print(common.header(description), flush=True)
-    records, recordings, agreement = compare(plan)
+    records, recordings = compare(plan)
     ratios, alone = kept_ratios(records), backend_alone([one for one in recordings if one.arms == 3])
     text = "\n\n".join(
         [
@@ -284,8 +277,6 @@ def main(argv: Sequence[str] | None = None) -> int:
             common.markdown_table(ratios, list(ratios[0])),
             "## The same for the backends' calls alone: no tests, no polishing, 3 arms\n",
             common.markdown_table(alone, list(alone[0])),
-            "## Best answers of the two forms: how far apart\n",
-            common.markdown_table(agreement, list(agreement[0])),
         ]
     )
     print("\n" + text)

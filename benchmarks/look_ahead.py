@@ -44,9 +44,9 @@ def tasks(every: int = 1) -> Iterator[tuple[str, int, Callable[[], Scenario]]]:
         yield "redundant", i, partial(cases.redundant, i)
 
 
-def measured(kind: str, number: int, task: Scenario, end: float | None = None, *, kernel: str = "auto") -> Record:
+def measured(kind: str, number: int, task: Scenario, end: float | None = None) -> Record:
     """What a run came to."""
-    made = cases.run(task, until=end, kernel=kernel)
+    made = cases.run(task, until=end)
     return {
         "case": kind, "number": number, "arms": len(task.cell), "end": made.end, "time_s": round(made.time, DIGITS),
         "chain_um": round(made.chain_um, DIGITS), "path_um": round(made.path_um, DIGITS), "qp": made.qp,

@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import pinocchio as pin
 
-from coopqp import ControlStep, Grasp, LinePath, QPController, QPOptions, RobotCell, Status, WaypointPath
+from coopqp import ControlStep, Grasp, LinePath, QPController, RobotCell, Status, WaypointPath
 from coopqp.errors import UnreachableError
 from coopqp.model.chain import Chain
 from coopqp.model.inverse_kinematics import newton
@@ -50,16 +50,15 @@ class Run:
     clocks: Array
 
 
-def run(task: Scenario, *, longest: float = 60.0, kernel: str = "auto", until: float | None = None) -> Run:
+def run(task: Scenario, *, longest: float = 60.0, until: float | None = None) -> Run:
     """Drive a task without disturbances until it is finished, or stands.
 
     Args:
         task: what to do.
         longest: give up after this time [s].
-        kernel: of the controller.
         until: read the time to this clock [s] instead of the run's own end.
     """
-    controller = QPController(task.cell, task.grasp, task.path, dt=task.dt, options=QPOptions(kernel=kernel))
+    controller = QPController(task.cell, task.grasp, task.path, dt=task.dt)
     controller.reset(task.q_start)
     steps: list[ControlStep] = []
     still, finished = 0, False

@@ -52,7 +52,7 @@ class Case:
         scenario: what to do.
         steps: longest run that is watched; a target beyond the path's end is the end.
         noise: of the readings that close the loop [rad]; None: it goes on from the command.
-        options: coopqp's; the kernel is chosen besides.
+        options: coopqp's.
     """
 
     name: str

@@ -1,11 +1,11 @@
-"""QPs of controllers, recorded in closed loops in both forms, and exported as a test set for qpbenchmark."""
+"""QPs of controllers, recorded in closed loops, and exported as a test set for qpbenchmark."""
 
 from __future__ import annotations
 
 import io
-import time
+import warnings
 from collections.abc import Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -14,14 +14,13 @@ import numpy as np
 import peer_cases
 
 from coopqp import QPController, QPOptions
-from coopqp.control import Constraints, PlainLoop, Proposal, StepProgram, VelocityBox
+from coopqp.errors import StartWarning
 from coopqp.model import Chain
 from coopqp.output import write_files
 from coopqp.scenarios import Scenario, at_singularity, fast_lift
 from coopqp.solvers import Outcome, QpProblem, QpSolver, Workspace, make_solver
 from coopqp.spatial import Array
 
-FORMS = ("condensed", "full")
 #: Description of each case.
 CASES = {
     "nominal": "arms round a ring, within all limits: no constraint is active",
@@ -69,16 +68,15 @@ class RecordedQp:
 
 @dataclass(frozen=True, eq=False)
 class Recorded:
-    """Successive QPs of one case in one form."""
+    """Successive QPs of one case."""
 
     case: str
     arms: int
-    form: str
     qps: Sequence[RecordedQp]
 
     @property
     def name(self) -> str:
-        return f"{self.case}_{self.arms}_{self.form}"
+        return f"{self.case}_{self.arms}"
 
 
 def scenario_of(case: str, arms: int) -> Scenario:
@@ -96,21 +94,17 @@ def scenario_of(case: str, arms: int) -> Scenario:
 
 
 class Recorder(QpSolver):
-    """DAQP that keeps a copy of every problem.
-
-    Attributes:
-        asked: the problems since the list was last emptied.
-    """
+    """DAQP that keeps the last problem that it was asked."""
 
     name = "recorder"
+    asked: QpProblem
 
     def __init__(self) -> None:
         self._solver = make_solver("daqp")
         self.settings = self._solver.settings
-        self.asked: list[QpProblem] = []
 
     def _solve(self, problem: QpProblem, work: Workspace) -> Outcome:
-        self.asked.append(copied(problem))
+        self.asked = problem
         found = self._solver.solve(problem)
         return Outcome(found.status, found.x, None, found.iterations, found.message)
 
@@ -118,61 +112,40 @@ class Recorder(QpSolver):
         self._solver.reset()
 
 
-class FormsOfStep:
-    """What the two forms of a step's QP mean, from the step's own input."""
+def record(case: str, arms: int, count: int) -> Recorded:
+    """``count`` successive QPs of a closed loop with a QP in every step.
 
-    def __init__(self, scenario: Scenario, options: QPOptions) -> None:
-        self._cell, self._dt = scenario.cell, scenario.dt
-        self._chain, self._box = Chain(scenario.cell, scenario.grasp), VelocityBox(scenario.cell)
-        self._program = StepProgram(self._chain, options.weights)
-
-    def of(self, proposal: Proposal, condensed: QpProblem, step: int) -> dict[str, RecordedQp]:
-        """The QP that the step solved, and the full form beside it."""
-        chain, box, given, terms = self._chain, self._box, proposal.given, proposal.found.terms
-        middle = self._cell.moved(given.q, 0.5 * given.h * (2.0 * given.v - given.v_before))
-        chain.linearise(middle, about=given.pose.translation)
-        box.update(given.positions, given.v, given.h)
-        _, base, B = self._program.condensed(terms, self._program.pieces(terms), box)
-        J = np.linalg.inv(terms.to_world) @ chain.dense().reshape(chain.n_arms, 6, chain.nv)
-        full = self._program.full(terms, box)
-        still, only_v = np.zeros(chain.nv), np.eye(chain.nv, full.g.size)
-        return {
-            "condensed": RecordedQp(condensed, base, B, J, self._dt, step),
-            "full": RecordedQp(full, still, only_v, J, self._dt, step),
-        }
-
-
-def record(case: str, arms: int, count: int) -> list[Recorded]:
-    """``count`` successive QPs of a closed loop with a QP in every step, in each form.
-
-    The loop is the plain definition of a step, and its solver records. Cases with an easy start are recorded around
-    the first slowed step.
+    The controller's solver records. Cases with an easy start are recorded around the first slowed step.
     """
-    scenario = scenario_of(case, arms)
-    first = _first_difficulty(scenario, count) if case in ("near_singular", "elbow") else 1
-    recorder = Recorder()
-    options = QPOptions(shortcut=False, solver=recorder, kernel="plain")
-    none = Constraints(scenario.cell, ())
-    loop = PlainLoop(scenario.cell, scenario.grasp, dt=scenario.dt, options=options, constraints=none)
-    loop.follow(scenario.path)
-    loop.start(scenario.q_start)
-    loop.start_path()
-    forms = FormsOfStep(scenario, options)
-    found: dict[str, list[RecordedQp]] = {form: [] for form in FORMS}
+    task = scenario_of(case, arms)
+    first = _first_difficulty(task, count) if case in ("near_singular", "elbow") else 1
+    recorder, chain = Recorder(), Chain(task.cell, task.grasp)
+    options = QPOptions(shortcut=False, solver=recorder)
+    controller = QPController(task.cell, task.grasp, task.path, dt=task.dt, options=options)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", StartWarning)  # some cases start there on purpose
+        controller.reset(task.q_start)
+    v = v_before = np.zeros(task.cell.nv)
+    found: list[RecordedQp] = []
     for number in range(first + count):
-        recorder.asked.clear()
-        proposal = loop.propose(loop.observe(None, None))
+        step = controller.step()
         if number >= first:  # the first step linearises more than once
-            for form, qp in forms.of(proposal, recorder.asked[-1], number).items():
-                found[form].append(qp)
-        if loop.commit(proposal, time.perf_counter()).finished:
+            middle = task.cell.moved(step.q, 0.5 * step.dt * (2.0 * v - v_before))
+            chain.linearise(middle, about=controller.reference.translation)
+            to_object = np.kron(np.eye(2), controller.reference.rotation.T)
+            J = to_object @ chain.dense().reshape(chain.n_arms, 6, chain.nv)
+            found.append(RecordedQp(recorder.asked, *_velocity_map(controller), J, task.dt, number))
+        if step.finished:
             break
-    return [Recorded(case, arms, form, found[form]) for form in FORMS]
+        v, v_before = step.velocity, v
+    return Recorded(case, arms, found)
 
 
-def copied(problem: QpProblem) -> QpProblem:
-    """A copy of the problem: the program overwrites its arrays in every step."""
-    return QpProblem(**{field.name: getattr(problem, field.name).copy() for field in fields(QpProblem)})
+def _velocity_map(controller: QPController) -> tuple[Array, Array]:
+    """base (nv,) and B (nv, n) of the last QP, v = base + B x, which stay in the memory of the loop."""
+    loop: Any = controller._loop
+    nv, n = controller.cell.nv, loop.solver.program.units.size
+    return loop.at["base"][:nv].copy(), loop.at["columns"][: nv * n].reshape(nv, n).copy()
 
 
 def _first_difficulty(scenario: Scenario, count: int) -> int:

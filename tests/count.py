@@ -176,7 +176,7 @@ def _number(node: ast.expr) -> float | None:
 
 
 def core_constants(root: Path) -> dict[str, float]:
-    """The constants that the definition and the core share: names in capitals."""
+    """The constants that Python and the core share: names in capitals."""
     found = runpy.run_path(str(root / CONSTANTS))
     return {name: value for name, value in found.items() if name.isupper() and not name.startswith("_")}
 

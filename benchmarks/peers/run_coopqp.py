@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import sys
-from dataclasses import replace
 from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
@@ -14,15 +13,14 @@ import peer_cases
 from protocol import Array, Task, serve
 
 from coopqp import ControlStep, QPController, Status
-from coopqp.native import available_kernels
 
 _NO_COMMAND = (Status.HOLDING, Status.FAULT)
 
 
 class _Motion:
-    def __init__(self, case: peer_cases.Case, kernel: str) -> None:
-        s, options = case.scenario, replace(case.options, kernel=kernel)
-        self._controller = QPController(s.cell, s.grasp, s.path, dt=s.dt, options=options)
+    def __init__(self, case: peer_cases.Case) -> None:
+        s = case.scenario
+        self._controller = QPController(s.cell, s.grasp, s.path, dt=s.dt, options=case.options)
         self._q_start: Array = s.q_start
         self.start()
 
@@ -48,7 +46,7 @@ class _Motion:
 
 class Coopqp:
     package = "coopqp"
-    modes: tuple[str, ...] = available_kernels()
+    modes: tuple[str, ...] = ("default",)
 
     def load(self, task: Task) -> None:
         self._case = peer_cases.build(task.spec["case"], task.arms, task.spec["joints_each"])
@@ -57,7 +55,7 @@ class Coopqp:
         return np.array([T.homogeneous for T in export_cell.tools_at(self._case.scenario.cell, q)])
 
     def motion(self, mode: str) -> _Motion:
-        return _Motion(self._case, mode)
+        return _Motion(self._case)
 
 
 if __name__ == "__main__":

@@ -17,9 +17,8 @@ from pathlib import Path
 import numpy as np
 import pinocchio as pin
 
-from coopqp import Arm, Grasp, LinePath, QPController, QPOptions, Robot, RobotCell, WaypointPath, check_path, simulate
+from coopqp import Arm, Grasp, LinePath, QPController, Robot, RobotCell, WaypointPath, check_path, simulate
 from coopqp.errors import MissingExtraError
-from coopqp.native import available_kernels
 from coopqp.paths import ObjectPath
 from coopqp.planning import PathCheck, PathVerdict
 from coopqp.scenarios import SHARED_JOINTS, paper_lift, robot_data_path, robot_path, scenario
@@ -266,9 +265,9 @@ def _without_shared_joints(rounds: int) -> Iterator[Promise]:
     """Runs of arms given one by one and of the same arms as those of robots: their bits, and the time of a step."""
     tasks = list(_tasks())
     differ, slowest, runs = 0, 1.0, 0
-    for task, kernel in itertools.product(tasks, available_kernels()):
-        say(f"{task.name}, {kernel}")
-        one, other = (_run(task, cell, kernel) for cell in (task.arms, task.robots))
+    for task in tasks:
+        say(task.name)
+        one, other = (_run(task, cell) for cell in (task.arms, task.robots))
         assert one.finished
         runs, slowest = runs + 1, min(slowest, float(one.rate.min()))
         differ += not _same(one, other)
@@ -293,8 +292,8 @@ def _without_shared_joints(rounds: int) -> Iterator[Promise]:
 _DT, _STEPS = 0.005, 100
 
 
-def _run(task: _Both, cell: RobotCell, kernel: str) -> Recording:
-    controller = QPController(cell, task.grasp, task.path, dt=_DT, options=QPOptions(kernel=kernel))
+def _run(task: _Both, cell: RobotCell) -> Recording:
+    controller = QPController(cell, task.grasp, task.path, dt=_DT)
     return simulate(controller, q_start=task.q, duration=20.0)
 
 

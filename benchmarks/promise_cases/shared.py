@@ -1,7 +1,7 @@
 """Joints that arms share: one command, one proof for all arms, a group at a singularity, runs with a torso.
 
-What judges a run is one Pinocchio model of the whole robot, read from the URDF by itself. Steps are those of the
-default kernel. The group takes some minutes, most of them for the checks of the random motions; it says how far it is.
+What judges a run is one Pinocchio model of the whole robot, read from the URDF by itself. The group takes
+some minutes, most of them for the checks of the random motions; it says how far it is.
 """
 
 from __future__ import annotations

@@ -115,8 +115,6 @@ class PseudoInverseController:
 
     # -- the interface for ForceController -----------------------------------------------------------------------
 
-    kernel = "plain"
-
     @property
     def shares(self) -> Array:
         """Share of each arm in the object's pose (N, 6): the first arm defines it, and nothing corrects the others."""

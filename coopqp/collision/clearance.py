@@ -22,10 +22,9 @@ from coopqp.collision.scene import CollisionScene
 from coopqp.constraints.cause import Cause
 from coopqp.constraints.rate import Knot
 from coopqp.constraints.velocity import MOST_ROWS, ConstraintTrouble, LabelledRows, Quiet, Rank, RowsInMemory
-from coopqp.control.step.verdict import too_close
 from coopqp.errors import TooCloseError
 from coopqp.model.limits import BindingLimit, LimitKind
-from coopqp.model.shapes import NearPair, by_depth
+from coopqp.model.shapes import NearPair, by_depth, too_close
 from coopqp.model.state import CellState
 from coopqp.native import _core
 from coopqp.native.constants import BEND_SAMPLE, BENT_WAY, SMALL_CLEARANCE, STANDING, WATCHED, WATCHED_BLIND

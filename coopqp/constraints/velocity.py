@@ -201,12 +201,6 @@ class Rows:
     def __len__(self) -> int:
         return len(self.lower)
 
-    def and_also(self, others: Rows) -> Rows:
-        """These, then the others."""
-        if not len(self) or not len(others):
-            return others if len(others) else self
-        return Rows(*(np.concatenate([getattr(self, f.name), getattr(others, f.name)]) for f in fields(Rows)))
-
     def only(self, chosen: Any) -> Rows:
         """Those of a mask (m,)."""
         return Rows(*(getattr(self, f.name)[chosen] for f in fields(Rows)))

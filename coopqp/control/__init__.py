@@ -1,7 +1,6 @@
-"""One step: velocity bounds, QP, priorities, look-ahead, monitoring, and the controllers.
+"""The cooperative controller: settings, the loop over the core that makes its steps, and what an operator asks of it.
 
-What users need is in :mod:`coopqp`. The names here are parts of a step, for measurements of it. docs/derivations.md has
-a table of the modules and of their counterparts in C++.
+What users need is in :mod:`coopqp`. docs/derivations.md derives the step, and says in which file of the core it stands.
 """
 
 from coopqp.lazy import attach

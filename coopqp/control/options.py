@@ -4,16 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, ClassVar
 
 import numpy as np
 
-from coopqp.checks import Doc, as_count, as_options, documented, keep_scalars
+from coopqp.checks import Doc, as_options, documented, keep_scalars
 from coopqp.control.lookahead.options import PreviewOptions
 from coopqp.control.monitoring.options import SupervisionOptions
-from coopqp.control.step.formulations import RankWeights
 from coopqp.control.step.start import START_TOLERANCE_M, START_TOLERANCE_RAD
-from coopqp.errors import InvalidInputError, UnknownNameError
+from coopqp.errors import InvalidInputError
 from coopqp.model.common_error import CommonError
 from coopqp.model.posture import PostureOptions
 from coopqp.solvers.base import QpSolver
@@ -21,13 +20,43 @@ from coopqp.solvers.base import QpSolver
 
 @documented
 @dataclass(frozen=True, kw_only=True)
+class RankWeights:
+    """Costs of giving something up, per unit squared; ratios of at least 100 keep the ranks apart."""
+
+    chain: Annotated[float, Doc("cost of the speed at which the arms part [1/(m/s)²]")] = 1e8
+    off_path: Annotated[float, Doc("cost of object velocity off the path [1/(m/s)²]")] = 1e4
+    recovery: Annotated[float, Doc("cost of a joint outside its limits that is not led back [1/(rad/s)²]")] = 1e6
+    clearance: Annotated[
+        float, Doc("cost of a row that gives way before the arms part, per unit of the row squared")
+    ] = 1e6
+    grasp: Annotated[float, Doc("cost of giving up all of the grasp correction")] = 1.0
+    path: Annotated[float, Doc("cost of giving up all of the path correction")] = 1e-2
+    rate: Annotated[float, Doc("cost of standing still (σ = 0)")] = 1e-4
+    posture: Annotated[
+        float, Doc("cost of null-space motion other than the wanted one, in units of the joints' speeds")
+    ] = 1e-6
+    length: Annotated[float, Doc("characteristic length that weighs rotation against translation [m]")] = 0.3
+
+    def __post_init__(self) -> None:
+        keep_scalars(self, *self.__dataclass_fields__, low=1e-20, high=1e20)
+
+
+@documented
+@dataclass(frozen=True, kw_only=True)
 class QPOptions:
     """Settings of the cooperative controller."""
+
+    #: Options of version 0.2 that are no more, and what to do instead.
+    removed: ClassVar[Mapping[str, str]] = {
+        "kernel": "Leave it out: the core makes every step.",
+        "form": "Leave it out: the QP of a step is the condensed one.",
+        "iterations": "Leave it out: long steps are linearised again by themselves; a shorter dt is more accurate.",
+    }
 
     solver: Annotated[
         str | QpSolver,
         Doc(
-            'name of the QP solver: "auto" (the compiled ldp, or what replaces it where nothing is compiled), "ldp", '
+            'name of the QP solver: "auto" (ldp, which is part of the core), "ldp", '
             '"daqp", "proxqp", "osqp" or another of qpsolvers; a program may also give a solver object'
         ),
     ] = "auto"
@@ -49,11 +78,9 @@ class QPOptions:
         CommonError, Doc("weights that define the object pose; the first arm defines it by default")
     ] = field(default_factory=CommonError.leader)
     weights: Annotated[RankWeights, Doc("costs of the ranks")] = field(default_factory=RankWeights)
-    form: Annotated[Literal["condensed", "full"], Doc('form of the QP, "condensed" or "full"')] = "condensed"
     shortcut: Annotated[bool, Doc("skip the QP if the nominal command or a lower rate on the path is admissible")] = (
         True
     )
-    iterations: Annotated[int, Doc("number of linearisations of a step; use 2 if accuracy matters more than time")] = 1
     preview: Annotated[PreviewOptions | None, Doc("settings of the path preview; None for no preview")] = field(
         default_factory=PreviewOptions
     )
@@ -63,9 +90,6 @@ class QPOptions:
     supervision: Annotated[
         SupervisionOptions, Doc("thresholds of the comparison of measured and commanded configurations")
     ] = field(default_factory=SupervisionOptions)
-    kernel: Annotated[
-        str, Doc('"auto" for the compiled core if it is installed and knows the robot, "compiled" or "plain"')
-    ] = "auto"
     blocked_rate: Annotated[float, Doc("rate σ below which the object counts as blocked")] = 1e-3
     off_path_distance: Annotated[
         float, Doc("distance of the object from its path beyond which its status says so [m]")
@@ -79,6 +103,12 @@ class QPOptions:
     start_tolerance_rad: Annotated[float, Doc("accepted angle of any arm from the grasp at reset [rad]")] = (
         START_TOLERANCE_RAD
     )
+
+    def __new__(cls, **given: Any) -> QPOptions:
+        """Refuse options that are no more, by name."""
+        for name in given.keys() & cls.removed.keys():
+            raise InvalidInputError(f"{name} is an option no more", "QPOptions", cls.removed[name])
+        return super().__new__(cls)
 
     def __post_init__(self) -> None:
         keep_scalars(self, "grasp_gain", "path_gain", "measurement_time", open_low=False)
@@ -94,13 +124,6 @@ class QPOptions:
                 raise InvalidInputError(
                     f"{name} is a {type(part).__name__}", "QPOptions", f"Give a {kind.__name__}, or nothing."
                 )
-        if self.form not in ("condensed", "full"):
-            raise UnknownNameError("form", str(self.form), ("condensed", "full"), "QPOptions")
-        if self.kernel not in ("auto", "compiled", "plain"):
-            raise UnknownNameError("kernel", str(self.kernel), ("auto", "compiled", "plain"), "QPOptions")
-        object.__setattr__(self, "iterations", as_count(self.iterations, "QPOptions: iterations"))
-        if self.iterations > 5:
-            raise InvalidInputError(f"iterations is {self.iterations}", "QPOptions", "Give 1 to 5.")
 
     def on(self, share: float | None) -> QPOptions:
         """These options on a path that was planned with a share of the limits; None if it was not planned.

@@ -2,14 +2,13 @@
 
 A step observes (is the input plausible, are the arms in step), proposes (the rate that the path ahead allows, the
 wanted motion, and the strictly ranked answer: the nominal command if it is admissible; else the fastest rate on the
-path; else the QP; else the QP whose chain may part; else a synchronised brake) and commits. The compiled core does it
-where it can (:mod:`coopqp.control.core`); :mod:`coopqp.control.step.plain` is its definition. See docs/derivations.md.
+path; else the QP; else the QP whose chain may part; else a synchronised brake) and commits. The core does it
+(coopqp/native). See docs/derivations.md.
 """
 
 from __future__ import annotations
 
 import copy
-import time
 import warnings
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any, final
@@ -18,7 +17,7 @@ import numpy as np
 import pinocchio as pin
 
 from coopqp.checks import NOT_NUMBERS, ArrayLike, as_options, as_scalar, as_step, require
-from coopqp.control.core import make_loop
+from coopqp.control.core.compiled import CompiledLoop
 from coopqp.control.interface import ControlStep, Status, amend, short_text
 from coopqp.control.lock import alone
 from coopqp.control.operator.calls import OperatorCalls
@@ -27,7 +26,6 @@ from coopqp.control.operator.operator import Operator
 from coopqp.control.operator.waiting import RATE_CALLS, Waiting, kind_of
 from coopqp.control.options import QPOptions
 from coopqp.control.step.constraint_set import Constraints
-from coopqp.control.step.plain import PlainLoop
 from coopqp.control.step.start import check_start, held_command, rate_into, start_warning
 from coopqp.errors import BusyError, InvalidInputError, StartWarning, StiffnessWarning, UnknownNameError
 from coopqp.model.cell import RobotCell
@@ -56,7 +54,6 @@ class QPController(OperatorCalls):
         constraints: further constraints, see :class:`coopqp.VelocityConstraint` and :class:`coopqp.RateBound`.
 
     Attributes:
-        kernel: what runs a step: "compiled" or "plain".
         solver: name of the solver that a QP step uses.
 
     Raises:
@@ -93,11 +90,10 @@ class QPController(OperatorCalls):
         self.options = as_options(QPOptions, options, "QPController: options")
         self._checked = Constraints(cell, constraints)
         self.constraints = self._checked.given
-        self._loop = make_loop(cell, grasp, dt=self.dt, options=self.options, constraints=self._checked)
-        self.kernel, self.solver = self._loop.kernel, self._loop.solver.name
+        self._loop = CompiledLoop(cell, grasp, dt=self.dt, options=self.options, constraints=self._checked)
+        self.solver = self._loop.solver.name
         self._operator = Operator(cell, grasp, self._loop, path, dt=self.dt, options=self.options)
-        if not isinstance(self._loop, PlainLoop):
-            self._loop.take_look(self._look)
+        self._loop.take_look(self._look)
         self._started = self._outside = self._minded = False
         #: By how much the tools are elsewhere on the object than the grasp says (N, 6); None if they are not.
         self._shift: Array | None = None
@@ -109,6 +105,11 @@ class QPController(OperatorCalls):
     def path(self) -> ObjectPath:
         """The object's program: the path that was given, followed or shifted last."""
         return self._operator.way.program
+
+    @property
+    def kernel(self) -> str:
+        """Gone since version 0.3."""
+        raise AttributeError("QPController.kernel is gone: the core makes every step.")
 
     @property
     def _lock(self) -> Any:
@@ -154,7 +155,6 @@ class QPController(OperatorCalls):
         if (
             self._started
             and not self._outside
-            and not isinstance(self._loop, PlainLoop)
             and is_known(operator.way.path)
             and operator.quiet
             and (not self.constraints or self._checked.certified is not None)
@@ -535,9 +535,6 @@ class QPController(OperatorCalls):
             has to take part first.
         """
         self._minded = True
-        if isinstance(self._loop, PlainLoop):
-            self._loop.take_minding(memory)
-            return None
         return self._loop.take_minding(memory, tell)
 
     def accepted_dt(self, dt: Any) -> float:
@@ -604,7 +601,6 @@ class QPController(OperatorCalls):
 
     @alone
     def _finish(self) -> ControlStep:
-        assert not isinstance(self._loop, PlainLoop)  # only the core leaves a step open
         return self._loop.finish()
 
     @alone
@@ -618,11 +614,7 @@ class QPController(OperatorCalls):
         if operator.gear is not None and not self._minded:
             operator.override = operator.override if (share := operator.geared()) is None else share
         operator.before(self.accepted_dt(dt))
-        if isinstance(self._loop, PlainLoop):
-            began = time.perf_counter()
-            step = self._loop.commit(self._loop.propose(self._loop.observe(q_measured, dt)), began)
-        else:
-            step = self._loop.careful_step(q_measured, dt)
+        step = self._loop.careful_step(q_measured, dt)
         operator.tell(step)
         ended = operator.passed(step)  # on the way that this step has gone, which may be new
         if self._outside:  # it started there: say so until it is mended
@@ -649,23 +641,17 @@ class QPController(OperatorCalls):
     @alone
     def __getstate__(self) -> dict[str, Any]:
         self._catch_up()
-        names = ("cell", "grasp", "dt", "options", "constraints", "kernel")
+        names = ("cell", "grasp", "dt", "options", "constraints")
         state = {name: getattr(self, name) for name in names}
         own = {"started": self._started, "outside": self._outside, "operator": self._operator.memory()}
         own["shift"] = None if self._shift is None else self._shift.copy()
         return state | own | {"memory": self._loop.memory()}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
-        names = ("kernel", "started", "outside", "operator", "shift", "memory")
-        kernel, started, outside, operator, shift, memory = (state.pop(name) for name in names)
+        names = ("started", "outside", "operator", "shift", "memory")
+        started, outside, operator, shift, memory = (state.pop(name) for name in names)
         # the path may fail for a while: that is no reason not to be copied
         self._build(path=operator["way"].program, **state)
-        if self.kernel != kernel:
-            raise InvalidInputError(
-                f"the copied controller ran the {kernel} kernel, this one runs the {self.kernel} one",
-                "QPController",
-                "Build both with the same QPOptions(kernel=…).",
-            )
         self._started, self._outside = started, outside
         self._operator.restore(operator)
         self._loop.restore(memory)

@@ -20,8 +20,8 @@ import pinocchio as pin
 from coopqp.checks import read_only
 from coopqp.model.cell import RobotCell, of_cell
 from coopqp.model.grasp import Grasp
-from coopqp.native.constants import ADMITTED, FAR_EDGE, LARGE_INVERSE, SINGULAR_FLOOR
-from coopqp.spatial import Array, cross, twist_at
+from coopqp.native.constants import LARGE_INVERSE, SINGULAR_FLOOR
+from coopqp.spatial import Array, twist_at
 
 
 class Chain:
@@ -167,37 +167,6 @@ class Chain:
             out[k][:, columns] = J
         return out.reshape(-1, self.nv)
 
-    def to_reach_end(self) -> Array:
-        """Joint motion (nv,) that takes each arm to where its reach ends, to first order [rad or m].
-
-        With the least eigenvalue λ of J Jᵀ and its eigenvector u, joint motion ``v = Jᵀ u`` moves the object
-        least, by ``J v = λ u``, and ``h = uᵀ (∂J/∂q v) v`` is how that changes. At ``−λ/h`` times v the object turns
-        back. Other singularities are passed without: h is 0 there, the edge far.
-        """
-        out = np.full(self.nv, FAR_EDGE)
-        for i, columns in enumerate(self.part_columns):
-            J = self.part_jacobian(i)
-            if len(columns) < len(J) or self.parts[i][0] in self.apart:
-                continue
-            eigenvalues, eigenvectors = np.linalg.eigh(J @ J.T)
-            least, u = max(eigenvalues[0], 0.0), eigenvectors[:, 0]
-            v = u @ J
-            h = u @ self.part_slope(i, v) @ v
-            farthest = least**1.5 / FAR_EDGE  # |v| is √λ
-            out[columns] = -least / np.copysign(max(abs(h), farthest, np.finfo(float).tiny), h) * v
-        return out
-
-    def part_slope(self, i: int, v: Array) -> Array:
-        """``J′ = Σ_j v_j ∂_j J`` of a part (6 K, n), for velocities of its joints (n,)."""
-        arms, columns = self.parts[i], self.part_columns[i]
-        if len(arms) == 1:
-            return jacobian_slope(self.jacobians[arms[0]], v)
-        own = [np.searchsorted(columns, self.moving_columns[k]) for k in arms]
-        slopes = list(self.jacobians)
-        for k, at in zip(arms, own, strict=True):
-            slopes[k] = jacobian_slope(self.jacobians[k], v[at])
-        return self.stacked(i, slopes)
-
     def compliances(self, softness: Array) -> Array:
         """``J_k diag(softness) J_kᵀ``, (N, 6, 6): by how much the object gives way to a wrench on arm k.
 
@@ -224,8 +193,6 @@ class Chain:
             J = (R.T @ J.reshape(-1, 6, len(joints))).reshape(J.shape)
         return np.asarray((J * softness[joints]) @ J.T)
 
-    # -- arms with more, and with fewer, than six joints -----------------------------------------------------------
-
     def null_part(self, v: Array) -> Array:
         """The part of joint velocities ``v`` (nv,) that does not move the object: ``v − A⁺ A v``."""
         out = np.zeros(self.nv)
@@ -233,52 +200,6 @@ class Chain:
             if self.further[i] or self.parts[i][0] in self.apart:
                 out[columns] = v[columns] - inverse @ (self.part_jacobian(i) @ v[columns])
         return out
-
-    def null_basis(self) -> Array:
-        """Basis of the motions that leave the object at rest, (nv, redundancy), orthonormal in the joints' units."""
-        basis, c = np.zeros((self.nv, self.redundancy)), 0
-        for i, (extra, columns) in enumerate(zip(self.further, self.part_columns, strict=True)):
-            if extra:
-                J, unit = self.part_jacobian(i), self.scale[columns]
-                if self.parts[i][0] in self.apart:  # its motion is given
-                    c += extra
-                    continue
-                basis[columns, c : c + extra] = unit[:, None] * np.linalg.svd(J * unit)[2][len(J) :].T
-                c += extra
-        return basis
-
-    def admissible_twists(self, to_reference: Array) -> tuple[Array, list[tuple[int, Array]]]:
-        """The object motions that arms with fewer than six joints allow.
-
-        Args:
-            to_reference: ``Ad(R⁻¹)`` (6, 6).
-
-        Returns:
-            (Z, ranges): orthonormal basis Z (6, d) of the object twists that every arm can follow, in the reference
-            frame, and for each deficient arm its index and the projector (6, 6) on its own twists.
-        """
-        ranges = []
-        for k in self.deficient:
-            U, s, _ = np.linalg.svd(to_reference @ self.jacobians[k], full_matrices=False)
-            U = U[:, s > SINGULAR_FLOOR]
-            ranges.append((k, U @ U.T))
-        forbidden = sum((np.eye(6) - P for _, P in ranges), start=np.zeros((6, 6)))
-        eigenvalues, eigenvectors = np.linalg.eigh(forbidden)
-        return eigenvectors[:, eigenvalues < ADMITTED], ranges
-
-
-def jacobian_slope(J: Array, v: Array) -> Array:
-    """``J′ = Σ_i v_i ∂_i J`` of one arm (6, n), from J (6, n) about a point that moves with its tool, and v (n,).
-
-    The derivative of a serial arm's Jacobian is a Lie bracket of its columns: joint i turns all that comes after it,
-    ``∂_i (v_j, ω_j) = (ω_i × v_j, ω_i × ω_j)`` for i ≤ j, and moves the tool's point under the joints before it,
-    ``∂_i v_j = ω_j × v_i`` for i > j. Sums over i become running sums over the arm.
-    """
-    linear, angular = J[:3].T, J[3:].T
-    turned = (angular * v[:, None]).cumsum(axis=0)  # by the joints up to j
-    moved = linear * v[:, None]
-    beyond = moved[::-1].cumsum(axis=0)[::-1] - moved  # by the joints after j
-    return np.vstack([(cross(turned, linear) + cross(angular, beyond)).T, cross(turned, angular).T])
 
 
 def _inverse(J: Array, unit: Array) -> Array:
@@ -308,11 +229,6 @@ def part_columns(cell: RobotCell) -> tuple[npt.NDArray[np.intp], ...]:
     """Per part, the velocity coordinates that move its tools."""
     columns = moving_columns(cell)
     return tuple(np.unique(np.concatenate([columns[k] for k in part])) for part in parts(cell))
-
-
-def is_redundant(cell: RobotCell) -> bool:
-    """Whether a part has more joints than its tools need."""
-    return any(len(c) > 6 * len(part) for part, c in zip(parts(cell), part_columns(cell), strict=True))
 
 
 @of_cell

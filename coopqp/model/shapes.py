@@ -12,6 +12,7 @@ import pinocchio as pin
 
 from coopqp.checks import NOT_NUMBERS, as_floats, as_vector, keep_scalars, read_only, require
 from coopqp.errors import InvalidInputError, has_controls, shown
+from coopqp.model.limits import BindingLimit
 from coopqp.model.meshes import MOST_BYTES
 from coopqp.native.constants import DEEPEST
 from coopqp.reading import open_file
@@ -200,6 +201,18 @@ class NearPair:
 def by_depth(distance: float, form: str = ".1f") -> str:
     """How deep bodies overlap, in words: " by 3.4 mm" of the distance −0.0034 m, "" where no depth was found."""
     return f" by {-1e3 * distance:{form}} mm" if distance > DEEPEST else ""
+
+
+def too_close(inside: tuple[BindingLimit, ...]) -> str:
+    """A sentence: the two bodies that are deepest inside their margin; empty without any."""
+    if not inside:
+        return ""
+    others = len(inside) - 1
+    more = f", and {others} other pair{'s' * (others > 1)}" if others else ""
+    names, distance = " and ".join(inside[0].between), inside[0].distance or 0.0
+    if distance < 0.0:
+        return f"{names} overlap{by_depth(distance)}{more}"
+    return f"{names} are {1e3 * distance:.1f} mm from each other, inside their margin{more}"
 
 
 def _keep_sizes(shape: Any, *names: str) -> None:

@@ -10,11 +10,5 @@ except ImportError as error:
     raise MissingCoreError(str(error)) from error
 
 
-def available_kernels() -> tuple[str, ...]:
-    """Names of what computes steps, the fastest first."""
-    return ("compiled", "plain")
-
-
-__getattr__ = removed(
-    __name__, {"kernel_text": "there is no other than the compiled core, and coopqp --version names its version"}
-)
+_ONE = "there is no other than the compiled core, and coopqp --version names its version"
+__getattr__ = removed(__name__, {"kernel_text": _ONE, "available_kernels": _ONE})

@@ -1,6 +1,17 @@
-/* How far the commands lead the arms apart, as commanded.py defines it. */
+/* How far the commands lead the arms apart.
+ *
+ * The arms' views O_k of the object should be one. Their errors without the mean are lengths at the grasps, turns
+ * included, as in watch.cpp. Two parts of them were asked for, and do not count as long as they are corrected: the
+ * mismatch of a start, and shifts of the grasps. Both are followed as a step corrects them: it makes up for what grasps
+ * were shifted by since the step before, and takes a share of all other errors away. What is left is then compared with
+ * the errors themselves: it is the share of it that they still show, and never grows. */
 
 #include "functions.h"
+
+constexpr double SAID_APART = 1e-5; /* arms commanded further apart are named [m] */
+constexpr double TOGETHER_AGAIN = 0.5; /* share of the distance at which they were held from which on they go on */
+constexpr double ALIKE = 1.0 + 1e-9; /* the first of arms equally far from the others is named */
+constexpr double NO_MISMATCH = 1e-12; /* a smaller mismatch is none [m, rad] */
 
 /* The errors of the arms without their mean. */
 static void among_arms(const Twists &errors, Twists &out) {

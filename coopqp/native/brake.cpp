@@ -3,6 +3,8 @@
 
 #include "functions.h"
 
+constexpr int BISECTIONS = 40; /* of a share that breaks rows least */
+
 /* Joint velocities for one world twist of each arm, of the floored inverses. */
 static void floored_velocities(const Core *c, const Twists &w, Vector &v) {
     ArmRows6 P;

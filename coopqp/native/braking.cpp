@@ -1,6 +1,29 @@
-/* Rows that brake all arms together where no look-ahead does: coopqp/control/step/braking_rows.py. */
+/* Rows that brake all arms together ahead of singularities and joint limits, where no look-ahead does.
+ *
+ * An edge e(q) ≥ 0 is what must not be crossed: the least singular value of an arm's tool Jacobian, less a margin, and
+ * the way of a joint to each of its limits. From the joint velocities v of the last step all joints come to rest
+ * together in the time T = max_j |v_j| / a_j. The edge comes closer at s = max(−∇e·v, 0), so braking together slows it
+ * down by a_e = S s / T. The next velocities v⁺ keep, with a step of length h,
+ *
+ *     −∇e·v⁺ ≤ max(min(e / max(0.05 s, 5 h), √(a_e² h² + 2 a_e e) − a_e h), (1 − h/T) s).
+ *
+ * The chain bends: an object that goes on with its twist makes joints accelerate by A⁻¹ Ȧ v. Where that takes too large
+ * a share k of the accelerations, all joints slow down, for it falls with the square of their speed:
+ *
+ *     vᵀ W v⁺ ≤ max(√(η / k), 1 − h/T) vᵀ W v.
+ *
+ * Joints that brake together keep all rows, and so do joints at rest. See docs/derivations.md. */
 
 #include "functions.h"
+
+constexpr double EDGE_SHARE = 0.8; /* share of the accelerations that braking together is planned with, ahead of an edge */
+constexpr double SINGULAR_MARGIN = 0.01; /* least singular value of a tool Jacobian that arms keep */
+constexpr double BEND_SHARE = 0.7; /* share of the accelerations that the chain's bend may take, */
+constexpr double BEND_OFF_PATH = 0.4; /* and off the path, where bodies push */
+constexpr double GIVES_WAY = 0.1; /* how far such a row gives way, per unit of a row of the rank CLEARANCE, */
+constexpr double BEND_GIVES_WAY = 10.0; /* and that of the chain's bend off the path: rather than let a body touch, */
+/* Unless the bend takes this many times the accelerations: near singularities arms would part */
+constexpr double BEND_GIVES_WAY_TO = 20.0;
 
 /* uᵀ (∂_j J) w of an arm's n joints: a joint turns the joints after it, and those before it turn what it does. */
 static void edge_gradient(const ArmColumns &near, const Vector6 &u, const double *w, int n, double *gradient) {

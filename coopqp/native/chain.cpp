@@ -1,6 +1,23 @@
-/* The closed chain: errors, corrections, and joint velocities from twists of the object. */
+/* The closed chain: errors, corrections, and joint velocities from twists of the object.
+ *
+ * With E_k = R⁻¹ O_k an arm's view from the reference, a twist ν in the axes of R leads it to exp(h ν) E_k in a time h.
+ * log E_k does not change by h ν then, but by J⁻¹ h ν with the exponential's left Jacobian J at log E_k. What a step
+ * foresees for the next one would be wrong by (1 − J⁻¹) h ν, which from a turn of 109° on is more than h ν itself:
+ * errors would grow from step to step, and the arms part. So where the object is turned by more than FAR_OFF the errors
+ * are
+ *
+ *     e_1 = log E_1,    e_k = e_1 + log(E_k E_1⁻¹),
+ *
+ * and what all arms have in common is followed by exponentials. Nearer to the path they are the logarithms, which do not
+ * depend on the order of the arms, and what they miss of the twists dies away. */
 
 #include "functions.h"
+
+constexpr double SMALLEST_PIVOT = 1e-9; /* smallest pivot over the largest entry */
+constexpr double LONG_LEVER = 3.0; /* an arm further from the object's origin is inverted about a point of its own [m] */
+constexpr double FAR_OFF = 1.0; /* an object that is turned further off its path has errors that differ by twists [rad] */
+constexpr int MOST_SWEEPS = 12; /* of Jacobi's rotations */
+constexpr double SMALL_ROTATION = 1e-16; /* entries this small over the trace need none */
 
 /* -- errors and corrections ------------------------------------------------------------------------------------------ */
 

@@ -1,7 +1,24 @@
-/* The chain ahead of the clock: inverse kinematics and bounds of the rate at one clock, as a knot. The definition is
- * coopqp/control/lookahead/closed_chain.py. */
+/* The chain ahead of the clock: inverse kinematics and bounds of the rate at one clock, as a knot. */
 
 #include "ahead.h"
+
+constexpr double FINE_CELL = 1e-3; /* intervals shorter than this are not halved for a change of slope [s], */
+/* But for a change of q″ by more than this share, while the object takes longer for them */
+constexpr double FINE_BEND = 0.05;
+/* A slope that changes by more than this share within a fine interval is of another branch */
+constexpr double OTHER_BRANCH = 0.5;
+constexpr double BRANCH_WAY = 2.0; /* an arm this many joint steps from the end of its reach may be past it */
+constexpr double FAR_EDGE = 1e3; /* the end of an arm's reach is no further than this, in units of its joints */
+constexpr double FAR_PIVOT = 0.1; /* an arm whose smallest pivot is larger is far from the end of its reach, */
+constexpr double FAR_ROOM = 0.02; /* where no joint needs more than this to there [rad or m] */
+constexpr double EIGEN_ROUNDING = 1e-15; /* smallest pivot over the trace */
+constexpr int EIGEN_STEPS = 3; /* of inverse iteration */
+constexpr double BEND_CHANGE = 0.3; /* intervals are halved where q″ changes by more than this share of the accelerations */
+/* Redundant arms come nearer to a given motion by this share per second of the clock [1/s] */
+constexpr double ELBOW_GAIN = 5.0;
+constexpr int MOST_TRIES = 4; /* Newton steps that a knot may take */
+constexpr int STARTING_STEPS = 8; /* Newton steps that the first knot may take */
+constexpr double CONVERGED = 1e-5; /* Newton steps shorter than this are the last [rad or m] */
 
 struct Sketch {
     Pose *carried;

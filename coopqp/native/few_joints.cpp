@@ -6,6 +6,11 @@
 
 #include "functions.h"
 
+/* Common twists that few joints lack by less than this share, squared, close no chain: they would be large */
+constexpr double CLOSING = 1e-3;
+constexpr double ADMITTED = 1e-8; /* twists that few joints lack by less than this, squared, they follow */
+constexpr double FEW_FOLLOW = 1e-4; /* few joints follow a path if Newton's method leaves no larger error [m, rad] */
+
 static bool has_few(const Core *c, int k) { return joints_behind(c, k) < 6 && !follows_way(c, k); }
 
 /* Whether some arm that moves the object has few joints. */

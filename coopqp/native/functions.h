@@ -92,7 +92,7 @@ static void carry_with_others(const Core *c, Pose *carried);
 /* e_k = log(T⁻¹ O_k); 0 for numbers that are not finite. */
 static int errors_at(const Core *c, const Pose *carried, const Pose &T, Twists &errors);
 /* Errors of the object as the arms carry it from its reference pose, as commanded or as measured; far off the path they
- * differ by twists: coopqp/control/step/views.py. 0 where arms differ by nearly half a turn or for numbers that are not finite. */
+ * differ by twists, see chain.cpp. 0 where arms differ by nearly half a turn or for numbers that are not finite. */
 static int view_errors(const Core *c, const Pose *carried, Twists &errors);
 /* Errors after ways are errors + ways + this, of the first view; ways between errors are later - errors + this. */
 static Vector6 bend_of_way(const Vector6 &error, const Vector6 &way);

@@ -1,6 +1,8 @@
-/* Arms that share joints: a group is one redundant arm, whose tools are those of all of them. coopqp/model/chain.py defines it. */
+/* Arms that share joints: a group is one redundant arm, whose tools are those of all of them. See "Joints that arms share" in docs/derivations.md. */
 
 #include "functions.h"
+
+constexpr double WELL_INVERTED = 1e-3; /* smallest pivot of an arm that shares joints, whose own inverse serves */
 
 /* Rows of all tools, columns of all joints of a group. */
 using GroupVector = Eigen::Matrix<double, Eigen::Dynamic, 1, 0, MOST_GROUP_JOINTS, 1>;

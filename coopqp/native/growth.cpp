@@ -1,7 +1,16 @@
-/* Growth of the horizon: knots as far on as the chain can be followed, one Newton step at a time. The definition is
- * coopqp/control/lookahead/extension.py. */
+/* Growth of the horizon: knots as far on as the chain can be followed, one Newton step at a time.
+ *
+ * It ends at a position limit, at an impassable singularity, at the end of the reach, where a constraint allows no rate,
+ * and at the path's end. */
 
 #include "ahead.h"
+
+constexpr double PASSABLE = 0.3; /* a singularity is passed where the rate's cap stays above this share of singular_rate */
+constexpr double GROWTH = 2.0; /* an interval is longer than the one before by this factor at most */
+constexpr int LONGEST_WAY = 300; /* knots of a way past a singularity */
+constexpr double KINK_CELL = 2e-3; /* where an interval this short is too long, a user's path or its twist may jump [s] */
+/* A twist by finite differences jumps this much before and after the path, at most [s] */
+constexpr double BESIDE_KINK = 2e-5;
 
 /* What growth looks for where a span was too long: a jump of a user's path, of its twist, of the path beside that. */
 enum { NOT_SEEKING, JUMPS, KINKS_OF_TWIST, BESIDE_A_KINK };

@@ -1,6 +1,12 @@
-/* The known knots, K at each of them, and the largest rate that K admits for a step: coopqp/control/lookahead/horizon.py. */
+/* The known knots, K at each of them, and the largest rate that K admits for a step. */
 
 #include "ahead.h"
+
+constexpr int KNOTS_PER_PASS = 4; /* knots per backward pass */
+constexpr int MOST_GUESSES = 44; /* guesses of the largest rate */
+constexpr double SHORT_OF = 1e-14; /* share by which they stay below a line's */
+constexpr double SHORTER = 4.0; /* that share grows by this factor after a guess that was too large */
+constexpr double LEAST_RATE = 1e-9; /* a smaller rate is 0 */
 
 /* Whether a rate may be admitted is asked while fewer knots are known: a limit near by shows then; a rate that misses by less
  * may be one that rounding has lowered. */

@@ -1,7 +1,25 @@
-/* A gripped arm that stops, by measurements alone: no lag explains where all arms are. coopqp/control/monitoring/lag.py is the
- * definition, and says why. */
+/* A gripped arm that stops, by the measured configurations alone, where neither wrenches nor stiffness are known.
+ *
+ * A rigid grip drags every measured arm along: nothing parts the arms. But the object that they carry together then
+ * stands elsewhere than its command, and not where it was a moment ago. Where servos lag, it does: its deviation is d =
+ * −τ V with one lag τ, which does not change. So bounds of τ are kept,
+ *
+ *     lo, hi ← ∩ (b ∓ m) / |V|,    b the part of −d along V,    m = floor + noise + κ a,
+ *
+ * with the acceleration a, and a deviation that no τ within them explains is an arm that has stopped, or something that
+ * the object touches. What 20 ms of lag do not explain in the first 0.2 s shows how soft the drives are, and is added to
+ * m. The bounds, and what the deviation is at rest, drift by a share of the way. */
 
 #include "functions.h"
+
+/* Arms that are farther from where any lag would put them have an arm that has stopped [m], */
+constexpr double LAG_FLOOR = 1e-3;
+constexpr double LAG_HOLDS = 5e-4; /* and are held from this on beyond it [m] */
+constexpr double LAG_LATE = 2e-4; /* and per acceleration of the object [s²] */
+constexpr double LAG_FOLLOWS = 0.015; /* for which the lag makes itself felt this much later [s] */
+constexpr double LAG_SLOWEST = 5e-3; /* slower objects show no lag [m/s] */
+constexpr double LAG_LEARNS = 0.2; /* what LAG does not explain in this time at the start shows how soft drives are [s] */
+constexpr double LAG_SETTLES = 0.1; /* what the deviation is at rest is averaged over this time [s] */
 
 /* Velocity of the object as commanded, in lengths at the grasps; 0 if it is not known. */
 static int told_velocity(const Core *c, Ref6 velocity) {

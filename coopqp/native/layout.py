@@ -1,4 +1,4 @@
-"""The core's memory, listed once: for the definition in Python, and for the header.
+"""The core's memory, listed once: for Python, and for the header.
 
 Scalars are members of structs of doubles. Every field is an array of float64, or of such structs, in one of three
 blocks: ``CONFIG`` never changes, ``STATE`` is all that one step hands to the next (a copy of it is a copy of the

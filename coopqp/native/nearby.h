@@ -1,5 +1,5 @@
-/* The rows of a compiled step beside bodies that stand, and what stops the object ahead: the definition is
- * coopqp/collision/clearance.py. Lower bounds of distances follow the joints, or come from convex.h; coal is asked where
+/* The rows of a compiled step beside bodies that stand, and what stops the object ahead, as coopqp/collision/clearance.py
+ * has them for bodies that move. Lower bounds of distances follow the joints, or come from convex.h; coal is asked where
  * they are not enough, Pinocchio for placements then: a step that is not near asks neither. */
 
 #ifndef COOPQP_NEARBY_H

@@ -7,6 +7,9 @@
 
 #include "functions.h"
 
+/* Turns are about one axis where the squared sine of the angle between their axes is below this */
+constexpr double SAME_AXIS = 1e-24;
+
 /* How far along a segment: u of its straight way, b of the motion that dies away, and their changes a second. */
 struct Place {
     double u, rate, b, fading;

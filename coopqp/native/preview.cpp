@@ -1,7 +1,20 @@
-/* The path ahead of the object's clock: where limits and singularities bind, and how fast the object may go. The
- * definition, with the formulae, is coopqp/control/lookahead/preview.py. */
+/* The path ahead of the object's clock: where limits and singularities bind, and how fast the object may go.
+ *
+ * Under acceleration limits no single step can keep both the chain and the path at a limit: all arms have to brake
+ * together, ahead of it. The preview runs the chain's own inverse kinematics ahead of the clock, knot by knot, and
+ * stores the joints' derivatives with respect to the clock, q′ = A⁻¹ν and q″. With rate σ the joints move at q′σ and
+ * accelerate at q′σ̇ + q″σ². Speeds bound z = σ² at each knot. A backward pass over the knots finds K, the largest z
+ * from which the object can go on within the accelerations (sharing.cpp), down to a stop at the end of the known
+ * horizon. The rate of a step keeps σ² ≤ K in its middle and at its end. It is path timing on a rolling horizon: as long
+ * as the object needs to stop, and no longer. */
 
 #include "ahead.h"
+
+constexpr int STEPS_TO_GROW = 8; /* a knot is begun this many steps before it is needed */
+constexpr int LEAST_ASKED = 4; /* a user's path is asked up to this often in a step for what is ahead, */
+constexpr double ASKED_PER_TIME = 6000.0; /* and more often in steps [1/s] */
+constexpr double SHORT_STEP = 0.002; /* that are longer than this [s], */
+constexpr int STEPS_TO_ASK = 40; /* and a knot of it is begun this many steps before it is needed */
 
 /* Pieces of work on bodies ahead that a start does at most. */
 #define SURVEYS_AT_START 20

@@ -1,8 +1,17 @@
-/* The condensed QP of a step: v = base + columns x, x = [off-path twist (6), lost rate, lost shares of the grasp and path
- * corrections, null-space motions], each in the unit that makes its cost x². A least-distance problem. Where the chain may
- * part, a twist of each arm's own follows (6 arms). */
+/* The condensed QP of a step. With the arms' kinematics inverted, every admissible command of a perfect chain is
+ *
+ *     v = A⁻¹(σ ν + s) + ρ_g A⁻¹ c_k + ρ_p A⁻¹ c_p + v_0 (+ N z for redundant arms),
+ *
+ * so the unknowns are the off-path twist s (6), the path rate σ, the shares ρ_g and ρ_p of the grasp and path
+ * corrections and z: nine plus the redundancy, whatever the number of arms, with a row per joint: v = base + columns x,
+ * x = [s, cap − σ, 1 − ρ_g, 1 − ρ_p, z], each in the unit that makes its cost x². A least-distance problem. Where the
+ * limits leave no answer each arm may part from the others by a twist of its own (6 arms), at a price above all else. */
 
 #include "functions.h"
+
+constexpr double AT_LIMIT = 1e-7; /* a velocity this close to its limit stands at it [rad/s or m/s] */
+/* A solver's excess over a limit up to this is clipped; more is a failure [rad/s] */
+constexpr double RESIDUE_TOLERANCE = 1e-5;
 
 /* World twists of the object's six directions, and of ν, c_k, c_p and b_k. */
 using TenTwists = Eigen::Matrix<double, 6, 10>;

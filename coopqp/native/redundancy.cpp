@@ -1,6 +1,24 @@
-/* Self-motion of redundant arms where a joint nears its position limit: coopqp/control/lookahead/redundancy.py. */
+/* Self-motion that keeps the joints of redundant arms off their limits on a path.
+ *
+ * Near a limit at distance d the slope of a joint towards it is at most S (d − m) / w, with the margin m, the way w, and the
+ * arm's largest slope S in units of the joints' speeds. The least self-motion that keeps these bounds is taken. If none does,
+ * all bounds give way by the same, in units of the joints' speeds. An arm with more than one joint beyond six uses the
+ * self-motion that moves the joint that is worst off. Arms that share joints are one arm here.
+ *
+ * On the way the slope n of that joint along the self-motion changes by its bend κ. Away from the limit at the distance D it
+ * bends by itself where κ > 0, as with the elbow in the arm's plane, where n is 0: it wins back D where its slope has become
+ * √(2 κ D), which is counted with where n is smaller. Where κ < 0 it can win G = n² / 2|κ| and no more: n (1 + D / G) is
+ * counted with, so an elbow is not turned ever faster for nothing. */
 
 #include "ahead.h"
+
+constexpr double LIMIT_MARGIN = 0.003; /* self-motion keeps joints inside their limits by this distance [rad or m] */
+constexpr double TURNING_WAY = 0.02; /* within this way before they turn away [rad or m] */
+/* A joint that its arm's self-motion moves by a smaller share cannot be led away, unless it bends away */
+constexpr double LEADS = 1e-4;
+/* With a smaller share an elbow is in its arm's plane: either way round bends the joint alike */
+constexpr double IN_PLANE = 1e-8;
+constexpr double TURNS_WELL = 0.1; /* a joint turns well by a self-motion of unit speed where its slope is larger [1] */
 
 /* Self-motion of arm k, or of its group, that moves joint `j` of these, (n,); 0 if it is singular. */
 static int self_motion(Core *c, int k, const double *jacobian, int j, double *way) {
@@ -75,8 +93,7 @@ static double lever_of(Core *c, int k, const double *jacobian, int worst, double
     return lever > sqrt(LEADS) * scale(worst) ? lever : 0.0;
 }
 
-/* Lead the joints of redundant arm k, or of its group, away from their limits by its self-motion:
- * coopqp/control/lookahead/redundancy.py. */
+/* Lead the joints of redundant arm k, or of its group, away from their limits by its self-motion. */
 static void lead_away(Core *c, int k, const double *jacobian, const double *positions, double *slope) {
     const int n = joints_together(c, k);
     double up[MOST_GROUP_JOINTS], down[MOST_GROUP_JOINTS], beyond[MOST_GROUP_JOINTS], way[MOST_GROUP_JOINTS], largest = 0.0;

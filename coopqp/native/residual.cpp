@@ -1,7 +1,24 @@
-/* Arms whose servos do not stand where their wrenches say. coopqp/control/monitoring/servos.py is the definition, and says why. */
+/* Arms whose servos do not stand where their wrenches say, and distances of arms whose grasps give way.
+ *
+ * An arm of compliance C that pushes the object with w beside what its drives are fed forward stands C w / ρ off its
+ * command, with ρ the servos' real stiffness over the given one. Where it stands elsewhere,
+ *
+ *     r_k = away_k + C_k (w_k − S_k load) / ρ,
+ *
+ * its servos do not hold it: it has stalled, or its grip slips. A lag that all arms have is in the mean of the others.
+ * Arms that share joints move each other by these: Σ_j C_kj (w_j − S_j load) is in the place of the second term.
+ *
+ * Where the relaxation moves the grasps by d, a rigid grip keeps the arms from following, and the distance of the arms
+ * as measured from as commanded parts by −d. So the arms are out of step by a_k = away_k + (d_k − d_k(reset)) only. That
+ * alone does not see a stalled arm, whose forces are relaxed; the servos do. */
 
 #include "functions.h"
 #include "minding.h"
+
+constexpr double SERVO_SLOWS = 6e-4; /* an arm this far from where its wrench puts its servos slows the object, */
+constexpr double SERVO_HOLDS = 1.2e-3; /* and holds it from this on [m] */
+/* And per acceleration of the joints, for what damping and late wrenches make of it [s²] */
+constexpr double SERVO_LATE = 4e-4;
 
 /* The grasps have given way: distances of the arms are counted from where they are told to hold the object now. */
 static void add_shift(const Core *c, Twists &away) {

@@ -1,5 +1,11 @@
-/* What self-motion of redundant arms costs beyond its speed, so that no limit shakes them to and fro. The definition, with
- * the formulae, is coopqp/control/step/self_motion.py. */
+/* What self-motion of redundant arms costs beyond its speed, so that no limit shakes them to and fro.
+ *
+ * A step's QP is linear in the self-motion, which costs next to nothing. Where a limit binds, the smallest slope of its
+ * joint along the self-motion would be worth all the speed that the accelerations allow: past the place where the slope
+ * is 0, and back in the next step, for ever. But the slope changes on the way: joints bend by b = −A⁺ Ȧ w under the
+ * self-motion w = N z. So a QP whose limits bind with the multipliers λ is solved again with a cost of at least ½ T λᵀb
+ * for z, which leads to where the slope is 0 in the time T, and no further. All self-motion of arms that move together
+ * costs as much: z is small where the limits leave it little, and its direction would be made of rounding. */
 
 #include "functions.h"
 

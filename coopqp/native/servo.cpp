@@ -131,7 +131,7 @@ static int first_step(Core *c, int rows) {
 }
 
 /* Try a path from the present clock on at a rate: 1 if its first step keeps to it, and no joint jumps; the joints may force
- * a rate above the cap. What was known ahead stays in the ring. −1 where the definition has to say. */
+ * a rate above the cap. What was known ahead stays in the ring. −1 where the rows of constraints are not known. */
 static int admits(Core *c, const double *numbers, double rate, int needed, int rows) {
     const int kept = (int)c->ahead->count + (int)c->ahead->way + 2;
     const double clock = c->loop->clock, least = needed ? rate : 0.0;

@@ -1,6 +1,14 @@
-/* How fast the object may be at a knot: programs of z = σ² and u = σ̇. The definition is coopqp/control/lookahead/backward_pass.py. */
+/* How fast the object may be at a knot: linear programs of two variables, z = σ² and u = σ̇.
+ *
+ * Between two knots the joints move at q′σ and accelerate at q′u + q″z; z changes by 2u per second of clock. From a knot
+ * with z the object has to be able to reach the next one with at most K there, within the accelerations. Unknown changes
+ * of q″ between the knots count as a share e of its known changes. The largest such z is K here: a backward pass, as in
+ * TOPP-RA (Pham & Pham, 2018), over the known horizon. See "Look-ahead" in docs/derivations.md. */
 
 #include "ahead.h"
+
+constexpr double CROSSED = 1e-13; /* the lower bound of σ̇ is above the upper one by more than rounding */
+constexpr int MOST_PIVOTS = 50; /* Newton steps of one program of two variables */
 
 /* Lines α u + β z ≤ γ, as bounds (γ − β z)/α of u: upper ones from the front of the tables, lower ones from their back.
  * `high` and `low` are the pair that makes z, −1 where none does; `still` is the row of a bound of z alone. */

@@ -1,7 +1,31 @@
-/* One step: observe the measurement, propose a command, commit it. See docs/derivations.md and the plain definition. */
+/* One step: observe the measurement, propose a command, commit it. See "The order of the attempts" in docs/derivations.md. */
 
 #include "functions.h"
 #include "minding.h"
+
+constexpr double LEAST_PACE = 1e-3; /* the increment along the path is the mean over this share of a step at least */
+constexpr int MOST_PACES = 4; /* answers over another share of the clock, where a step takes another one than expected, */
+constexpr double SAME_PACE = 1e-6; /* which differs by more than this of itself, */
+constexpr double OFF_PACE = 1e-10; /* and leads further off the path than this [m] */
+/* An increment that grows by less of itself with its share leads to a path that rests */
+constexpr double PACE_STANDS = 1e-9;
+constexpr double NEGLIGIBLE = 1e-10; /* square of an off-path twist that needs no braking distance [m²/s², rad²/s²] */
+/* The first step has settled when its change of velocity moves the joints by less [rad²] */
+constexpr double SETTLED = 1e-13;
+/* An object that comes to a stop for good counts as blocked from this many times the rate on */
+constexpr double ARRIVING = 10.0;
+/* A blocked object counts as blocked until it has gone on by this way of its clock [s], */
+constexpr double STILL_BLOCKED = 1e-5;
+/* A slowed one, where nothing is known ahead, as slowed for so long at its full rate [s] */
+constexpr double STILL_SLOWED = 0.05;
+constexpr double RESTING_SPEED = 1e-3; /* a paused object that leaves its path faster does not rest yet [m/s], */
+constexpr double RESTING_SPIN = 1e-2; /* or by this [rad/s] */
+constexpr int EXTRA_AT_START = 3; /* linearisations of a first or long step beyond the others */
+constexpr double LONG_STEP = 0.03; /* a step that moves a joint further is linearised again [rad or m] */
+constexpr double BENT_STEP = 1e-6; /* so is one whose linearisation errs by more [rad²] */
+constexpr double CIRCLE_TOLERANCE = 0.05; /* how far (cos, sin) of a continuous joint may be from the unit circle */
+constexpr double CONTACT_ROOM = 0.02; /* an object that has met something goes back by no more than this [m], */
+constexpr double CONTACT_WAY = 0.2; /* and what it goes in this time [s] */
 
 static void refuse(Core *c, Reason reason, int index, double a) {
     Proposal *p = c->proposal;
@@ -499,7 +523,7 @@ static int look_at_pace(Core *c) {
     if (other && rate < p->cap - RATE_TOLERANCE) {
         if (p->paces == 0.0) { /* to first order, where the path is as far on as the answer leads; more leads as far if it rests */
             const double missed = way * pace.along, slope = pace.size - missed / saved;
-            if (slope > STANDING * pace.size) way -= missed / slope;
+            if (slope > PACE_STANDS * pace.size) way -= missed / slope;
             else if (saved < 0.0) way = h;
         } else { /* by the last two answers */
             const double slope = (saved - p->last_saved) / (span - p->last_span);
@@ -553,8 +577,8 @@ static Outcome propose(Core *c) {
     return propose_capped(c);
 }
 
-/* The outcome with all further rows, tightened if the command breaks their constraints; ASK where the definition
- * has to say. */
+/* The outcome with all further rows, tightened if the command breaks their constraints; ASK where they
+ * cannot be had so. */
 static Outcome answer_with_rows(Core *c) {
     const long rows = c->ask(c, ASK_ROWS);
     if (rows < 0 || rows > most_given(c)) return ASK;

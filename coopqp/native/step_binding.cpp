@@ -230,7 +230,7 @@ static int clear(PyObject *object) {
 
 /* Call a function of Python for a number, or for yes or no; −1 where it fails, after an interrupt, or without a function.
  * After an interrupt nothing more is asked, and the call that the core is in raises it. What else is raised is dropped
- * where a number is asked for, as the definition asks again; else it is printed. */
+ * where a number is asked for, as Python asks again; else it is printed. */
 template <typename... Args>
 static long asked(BoundCore *self, int which, bool yes_or_no, Args... args) {
     const nb::object &function = self->objects[which];
@@ -258,7 +258,7 @@ static int filled_in(Core *c, int which, Args... args) {
     return good;
 }
 
-/* What a knot in a slot is bound to: bodies in memory know what stops the object there, or leave it to the definition. */
+/* What a knot in a slot is bound to: bodies in memory know what stops the object there, or leave it to Python. */
 static int bound_knot(Core *c, int slot) {
     c->knot_asked = 1;
     if (!bound(c)->objects[STOPPING]) return filled_in(c, BOUND_KNOT, slot);

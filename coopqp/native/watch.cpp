@@ -1,9 +1,50 @@
-/* Comparison of measured with commanded configurations: supervision, drift and forces, as supervision.py, drift.py and
- * stress.py define them.
+/* Comparison of measured with commanded configurations: supervision, drift and forces.
  *
- * Positions are finite here, and comparisons that decide are written so that NaN holds. */
+ * An arm that lags or stalls pulls on the object that the others carry on. For every arm the measured pose of the object
+ * that it carries is compared with the commanded one, and the object slows down before the arms part too far. Deviations
+ * common to all arms do not count: they only displace the object.
+ *
+ * Drift. If a base is not exactly at its modelled place, arms in a rigid grip seem to drift apart as the object moves
+ * and turns: slowly, at rest as in motion. An arm that lags deviates by its speed times the lag. So the model of a
+ * deviation is d = b + c s with the speed s of the joints, a slow drift b and a constant lag c. A Kalman filter
+ * separates them; the remainder d − b is out of step.
+ *
+ * Forces. A servo of stiffness Kp that stands off its command pushes with Kp (q_command − q_measured); at the object
+ * that is the wrench w_k = C_k⁻¹ A_k (q_command − q_measured) with the compliance C_k = A_k Kp⁻¹ A_kᵀ. An arm that does
+ * not follow is dragged along, and at rest the total wrench points it straight back along its way: C_k Σ w is how far
+ * its servos' target lags behind. Arms that share joints give way to each other's wrenches: there w = C⁻¹ A (q_command −
+ * q_measured) with C of all arms, and arm k lags by (Σ_j (C⁻¹)_jk)⁻¹ Σ w.
+ *
+ * Noise is known by second differences, which motion hardly has. Positions are finite here, and comparisons that decide
+ * are written so that NaN holds. */
 
 #include "functions.h"
+
+constexpr double STILL_COMMAND = 1e-5; /* commanded motion of an arm below this says nothing of a stall [rad or m] */
+constexpr double FOLLOWS = 0.5; /* an arm that moves by more than this share of its command follows it */
+constexpr double CAUGHT_UP = 5e-4; /* a stalled arm this close to its command has caught up [rad or m] */
+constexpr double CAUGHT_UP_SHARE = 0.3; /* so has one at this share of the largest gap */
+/* Arms this little apart in their distances count as equally far from their commands [m] */
+constexpr double EQUALLY_FAR = 1e-6;
+constexpr int FAULT_SAMPLES = 2; /* a fault needs as many samples in a row */
+constexpr int MOST_LOST = 3; /* samples in a row that an arm may repeat before it counts as standing */
+constexpr double NOISE_TIME = 0.2; /* noise is averaged over this time [s] */
+constexpr double WANDER = 1e-3; /* how far a drift wanders within a second [m] */
+constexpr double LEAST_LAG = 1e-4; /* how well the lag is known at best [s] */
+constexpr double DRIFT_FLOOR = 5e-4; /* how well distances are known without noise [m] */
+constexpr double DRIFT_SAMPLE = 1e-3; /* per this time [s] */
+constexpr double SMOOTHING = 0.1; /* distances and speed are smoothed alike [s] */
+constexpr double DRIFT_PERIOD = 0.0045; /* the filter runs this often, or at every step if that is longer [s] */
+constexpr double AT_REST = 1e-3; /* commanded joint velocities below this are rest [rad/s or m/s] */
+constexpr double SERVOS_SETTLED = 0.2; /* after this long at rest servos have settled [s] */
+constexpr double UNBALANCED = 0.3; /* share of the largest wrench from which on wrenches do not cancel */
+constexpr double PACE_TIME = 0.01; /* the pace of a force is seen over this time [s] */
+/* A force from LET_GO of the limit on holds where its pace would bring it there in this time [s] */
+constexpr double SOON = 0.025;
+constexpr double STRAIGHT_BACK = 0.95; /* cosine from which on an arm's way back is taken for the cause */
+constexpr double GROWS = 2e-3; /* closures of rigid grips also drift as fast as the object grows [m/s] */
+/* The cap by arms out of step falls from 1 to 0 in this time: a jolt is a force of its own [s] */
+constexpr double CAP_FALLS = 0.1;
 
 /* Finding of one sample: a cap of the rate, and why it is below 1. */
 struct Seen {

@@ -21,7 +21,6 @@ methods = {
     "paper": (PseudoInverseController, PseudoInverseOptions(increment="exact")),
     "midpoint, open loop": (PseudoInverseController, middle),
     "QP": (QPController, QPOptions()),
-    "QP, iterations=2": (QPController, QPOptions(iterations=2)),
 }
 N = 40  # steps per lift
 errors = {}
@@ -41,6 +40,6 @@ if "--out" in sys.argv:
     for name, mm in errors.items():
         axes.semilogy(3.0 / N * np.arange(1, len(mm)), mm[1:], label=name)
     axes.set(xlabel="time [s]", ylabel="ε_p [mm]", ylim=(1e-7, 200))
-    figure.legend(loc="outside upper center", ncols=4)
+    figure.legend(loc="outside upper center", ncols=3)
     out = Path(sys.argv[sys.argv.index("--out") + 1])
     figure.savefig(out / "cumulative_errors.png", dpi=80)

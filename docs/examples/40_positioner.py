@@ -55,7 +55,7 @@ while True:
     angles.append([np.degrees(np.arctan2(*plate.rotation[1::-1, 0])), round_part])
     if step.finished:
         break
-print(f"kernel {controller.kernel}; held by {', '.join(program.spans[0].holding)}")
+print(f"held by {', '.join(program.spans[0].holding)}")
 gone = abs(angles[-1][1])
 print(f"the torch has gone {gone:.0f}° round the part; on the seam within 1 µm: {off < 1e-6}")
 

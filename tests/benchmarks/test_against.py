@@ -11,7 +11,6 @@ import against
 import compare_peers
 import pytest
 from contestants import PACES, NotAvailable
-from places import BENCHMARKS
 
 #: A project whose build copies its core in place of compiling one.
 BUILD = """cmake_minimum_required(VERSION 3.26)
@@ -44,20 +43,30 @@ class TestRow:
         assert row["ratio"] == 1.0
         assert row["more_us"] == 0.0
         assert (row["p50_us"], row["p50_us_there"]) == (3.0, 4.0)
+        assert (row["p99_us"], row["p99_us_there"], row["p99_ratio"]) == (10.0, 8.0, 1.0)
 
     @pytest.mark.parametrize(
-        ("here", "there", "good"), [(10.4, 10.0, True), (10.6, 10.0, False), (1.09, 1.0, True), (1.2, 1.0, False)]
+        ("here", "there", "good"), [(10.2, 10.0, True), (10.4, 10.0, False), (1.09, 1.0, True), (1.2, 1.0, False)]
     )
     def test_small_shares_and_small_times_are_good(self, here: float, there: float, good: bool) -> None:
         assert against.judged(rounds(here, here), rounds(there, there))["good"] is good
 
+    def test_a_paced_row_keeps_its_tail_too(self) -> None:
+        here, there = [([1.0] * 98 + [last] * 2, 0, "") for last in (5.4, 5.0)]
+        row = against.judged([here], [there], paced=True)
+        assert row["ratio"] == 1.0
+        assert row["p99_ratio"] == pytest.approx(1.08)
+        assert not row["good"]
+        assert against.judged([here], [there])["good"]
+
     def test_failures_are_no_figures(self) -> None:
         row = against.judged([([], 5, "it fell over")], rounds(1.0))
         assert (row["ratio"], row["good"], row["failures"], row["note"]) == (None, False, 5, "it fell over")
+        assert row["p99_us"] is row["p99_ratio"] is None
 
 
 class Fake:
-    modes = ("compiled",)
+    modes = ("default",)
 
     def __init__(self, us: float) -> None:
         self._us, self.stopped = us, False
@@ -88,16 +97,23 @@ class TestCompare:
         assert {(r["ratio"], r["commit"], r["good"]) for r in records} == {(2.0, "0123456789ab", False)}
         assert len(others) == against.PAIRS
         assert all(other.stopped for other in others)
-        assert "0 of 4 rows" in against.report(records)
+        text = against.report(records)
+        assert "0 of 4 rows" in text
+        assert "- median of all rows: 2.000, largest 2.000\n- median of the p99 of the paced rows: 2.000" in text
 
-    @pytest.mark.slow
     def test_another_copy_is_what_runs_there(self, tmp_path: Path) -> None:
-        unbuilt = shutil.ignore_patterns("*.so", "*.pyd", "__pycache__")
-        for name in ("coopqp", "benchmarks"):
-            shutil.copytree(BENCHMARKS.parent / name, tmp_path / name, ignore=unbuilt)
+        """Its own runner and its own package."""
+        for file, text in {
+            "coopqp/__init__.py": "modes = ['of the copy']",
+            "benchmarks/peers/run_coopqp.py": (
+                "import json, coopqp; print(json.dumps({'version': '0', 'modes': coopqp.modes}), flush=True); input()"
+            ),
+        }.items():
+            (tmp_path / file).parent.mkdir(parents=True)
+            (tmp_path / file).write_text(text, encoding="utf-8")
         contestant = against.start(tmp_path)
         try:
-            assert contestant.modes == ("plain",)  # that copy has no core
+            assert contestant.modes == ("of the copy",)
         finally:
             contestant.stop()
 

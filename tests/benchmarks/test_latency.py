@@ -10,27 +10,23 @@ import common  # noqa: F401
 import latency
 import pytest
 
-from coopqp.native import available_kernels
-
-#: Steps of every kind: they track, need a QP, and pass a pole.
-CASES = ("nominal", "qp", "pole")
-CONTRACT = {"case", "kernel", "arms", "p50_us", "p99_us", "p999_us", "max_us", "gc_pause_ms"}
+#: Steps of every kind: they track, need a QP, pass a pole, and ask a user's constraint.
+CASES = ("nominal", "qp", "pole", "own")
+CONTRACT = {"case", "arms", "p50_us", "p99_us", "p999_us", "max_us", "gc_pause_ms"}
 
 
 @pytest.mark.slow
 def test_latency(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
-    plan = latency.Plan(steps=40, block=20, laps=1, garbage_steps=4000, alive=1000)
-    kernels = available_kernels()[:1]  # a lap of the definition takes ten seconds, and has the same keys
+    plan = latency.Plan(steps=40, block=20, paced=40, laps=1, garbage_steps=4000, alive=1000)
     monkeypatch.setattr(latency, "QUICK", plan)
-    monkeypatch.setattr(latency, "available_kernels", lambda: kernels)
     file, out = tmp_path / "r.json", tmp_path / "out"
     assert latency.main(["--quick", "--cases", *CASES, "--json", str(file), "--out", str(out)]) == 0
-    assert "coopqp kernel:" in capsys.readouterr().out
+    assert "settings: BLAS threads 1" in capsys.readouterr().out
     records = json.loads(file.read_text())
     assert all(set(r) >= CONTRACT for r in records)
     tails = [r for r in records if r["gc_pause_ms"] is None]
-    names = {name.format(case) for case in CASES for name in ("{}", "null spin: {}", "lap: {}")}
-    assert {(r["case"], r["kernel"]) for r in tails} == {(c, k) for c in names for k in kernels}
+    names = {name.format(case) for case in CASES for name in ("{}", "null spin: {}", "1 kHz: {}", "lap: {}")}
+    assert {r["case"] for r in tails} == names
     for r in tails:
         assert r["steps"] > 500 if r["case"].startswith("lap: ") else r["steps"] == 40
         assert (r["first_us"] is not None) is r["case"].startswith("lap: ")
@@ -42,11 +38,12 @@ def test_latency(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest
         assert (r["collections"] > 0) is ("kept" in case)
     text = (out / "latency.md").read_text()
     assert "## Targets" in text
-    assert "pole, compiled: longest step, by itself" in text or "compiled" not in kernels
-    figures = {(r["case"], r["kernel"]): r for r in latency.longest(records)}
-    assert set(figures) == {(c, k) for c in CASES for k in kernels}
-    for (case, kernel), r in figures.items():
-        lap = next(x for x in tails if (x["case"], x["kernel"]) == (f"lap: {case}", kernel))
+    assert "pole: longest step, by itself" in text
+    assert "own: p50" in text
+    figures = {r["case"]: r for r in latency.longest(records)}
+    assert set(figures) == set(CASES)
+    for case, r in figures.items():
+        lap = next(x for x in tails if x["case"] == f"lap: {case}")
         assert (r["first_us"], r["longest_us"]) == (lap["first_us"], lap["max_us"])
     assert (out / "latency.png").stat().st_size > 10_000
     assert not gc.get_freeze_count()
@@ -55,7 +52,7 @@ def test_latency(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest
 def test_the_cases_are_what_they_say() -> None:
     """Cases are slowed or need a QP as their names say; the watched one reads forces."""
     for case in latency.CASES:
-        loop = latency.Loop(case, available_kernels()[0])
+        loop = latency.Loop(case)
         slowed = solved = 0
         for _ in range(320):
             loop.step()

@@ -45,7 +45,7 @@ from coopqp.errors import MissingExtraError, UnknownNameError
 from coopqp.files import CellFileError
 from coopqp.model import CellState
 from coopqp.model.chain import Chain
-from coopqp.native import _core, available_kernels
+from coopqp.native import _core
 from coopqp.native.constants import YIELDS
 from coopqp.planning import PathVerdict
 from coopqp.scenarios import (
@@ -65,14 +65,13 @@ from coopqp.simulation import Closeness, Monitor, check_run, evaluate, read_run
 from coopqp.simulation.evaluation.closeness import with_clearance
 
 MARGIN = 0.02
-KERNELS = available_kernels()
 
 
 def scene_of(scenario: Scenario, **changes: Any) -> CollisionScene:
     return CollisionScene.of(scenario, **{"margin": MARGIN, **changes})
 
 
-def run(scenario: Scenario, scene: CollisionScene, *, kernel: str = "auto", acceleration: float = np.inf) -> Any:
+def run(scenario: Scenario, scene: CollisionScene, *, acceleration: float = np.inf) -> Any:
     cell = scene.cell.with_limits(acceleration=acceleration) if np.isfinite(acceleration) else scene.cell
     scene = replace(scene, cell=cell)
     controller = QPController(
@@ -80,7 +79,7 @@ def run(scenario: Scenario, scene: CollisionScene, *, kernel: str = "auto", acce
         scenario.grasp,
         scenario.path,
         dt=scenario.dt,
-        options=QPOptions(kernel=kernel),
+        options=QPOptions(),
         constraints=[Clearance(scene)],
     )
     steps: list[Any] = []
@@ -253,14 +252,13 @@ def max_of_two(scenario: Scenario, of_joints: Any) -> float:
 
 
 @pytest.mark.core
-@pytest.mark.parametrize("kernel", KERNELS)
-def test_a_scene_without_pairs_slows_nothing_down(kernel: str) -> None:
+def test_a_scene_without_pairs_slows_nothing_down() -> None:
     """Arms without shapes, as many descriptions have them, and an object of two parts."""
     task = panda_bar(geometry=False)
     parts = [Body(name, Box((0.1, 0.1, 0.1))) for name in ("one", "other")]
     scene = CollisionScene(cell=task.cell, grasp=task.grasp, carried=parts)
     assert not scene.pairs
-    beside, alone = (built(task, kernel, constraints=given) for given in ([Clearance(scene)], []))
+    beside, alone = (built(task, constraints=given) for given in ([Clearance(scene)], []))
     for _ in range(50):
         np.testing.assert_array_equal(beside.step().velocity, alone.step().velocity)
 
@@ -586,7 +584,7 @@ def test_a_distance_is_kept_as_recorded(known: bool, golden: Golden) -> None:
     if not known:
         scenario = replace(scenario, path=Opaque(scenario.path, known_ahead=False))
     done = golden.of(None, 5e-9)
-    for step in run(scenario, scene_of(scenario), kernel=golden.kernel, acceleration=5.0)[1]:
+    for step in run(scenario, scene_of(scenario), acceleration=5.0)[1]:
         done.add(step)
 
 
@@ -1083,14 +1081,11 @@ def test_arms_brake_within_their_accelerations_on_the_path_and_rest_before_the_m
     assert all(step.rate < 1e-9 for step in steps[late:])
 
 
-@pytest.mark.parametrize("kernel", slow_but_first(KERNELS))
-def test_a_body_that_comes_on_is_named_and_an_overlap_holds(lift: Scenario, kernel: str) -> None:
+def test_a_body_that_comes_on_is_named_and_an_overlap_holds(lift: Scenario) -> None:
     cell, dt, middle = lift.cell, 0.004, (lift.path.pose(0.0) * lift.T_object_body).translation
     scene = scene_of(lift, moving=[Body("cart", Sphere(0.1), pin.SE3.Identity())])
     clearance = Clearance(scene)
-    controller = QPController(
-        cell, lift.grasp, lift.path, dt=dt, options=QPOptions(kernel=kernel), constraints=[clearance]
-    )
+    controller = QPController(cell, lift.grasp, lift.path, dt=dt, options=QPOptions(), constraints=[clearance])
     clearance.move("cart", pin.SE3(np.eye(3), middle + np.array([0.0, 0.0, 0.6])))
     controller.reset(lift.q_start)
     limit = next(limit for limit in clearance.labels if set(limit.between) == {"object", "cart"})
@@ -1136,17 +1131,14 @@ def test_links_that_overlap_hold_while_a_body_moves(lift: Scenario) -> None:
     assert 0 < found < 30
 
 
-@pytest.mark.parametrize("kernel", slow_but_first(KERNELS))
-def test_rows_hold_while_nobody_says_where_a_body_is(lift: Scenario, kernel: str) -> None:
+def test_rows_hold_while_nobody_says_where_a_body_is(lift: Scenario) -> None:
     # The path is not known ahead, so rows alone keep the plate below the post; the arms come to rest before it.
     blind = replace(plate_and_post(), path=Opaque(plate_and_post().path, known_ahead=False))
     cell = blind.cell.with_limits(acceleration=5.0)
     cart = Body("cart", Sphere(0.1), pin.SE3(np.eye(3), np.array([5.0, 0.0, 0.0])))
     scene = CollisionScene.of(replace(blind, cell=cell), margin=MARGIN, moving=[cart])
     clearance = Clearance(scene)
-    controller = QPController(
-        cell, blind.grasp, blind.path, dt=0.004, options=QPOptions(kernel=kernel), constraints=[clearance]
-    )
+    controller = QPController(cell, blind.grasp, blind.path, dt=0.004, options=QPOptions(), constraints=[clearance])
     controller.reset(blind.q_start)
     for i in range(440):
         if i < 400:

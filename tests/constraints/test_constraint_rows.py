@@ -12,7 +12,7 @@ import numpy as np
 import pinocchio as pin
 import pytest
 from golden import Golden
-from marks import slow_but_first, slow_unless
+from marks import slow_unless
 from places import DOCS
 from runs import built, limited
 from user_paths import Opaque
@@ -35,14 +35,12 @@ from coopqp import (
 )
 from coopqp.constraints.velocity import LabelledRows, Quiet
 from coopqp.model import CellState
-from coopqp.native import available_kernels
 from coopqp.scenarios import Scenario, dual_arm7, mixed_cell, paper_lift
 from coopqp.solvers import QpProblem, QpSolution, QpSolver, SolverStatus, make_solver
 from coopqp.spatial import Array
 
 EXAMPLE = runpy.run_path(str(DOCS / "examples" / "16_constraints.py"))
 Box, SlowPoint, LittleEnergy = (EXAMPLE[name] for name in ("Box", "SlowPoint", "LittleEnergy"))
-KERNELS = available_kernels()
 ACCELERATIONS = (np.inf, 5.0)
 DT = 0.005
 FAR = np.inf
@@ -188,13 +186,12 @@ def test_the_protocols_are_public() -> None:
     assert not isinstance(LittleEnergy(task.grasp, 1.0, 1.0), VelocityConstraint)
 
 
-@pytest.mark.parametrize("kernel", KERNELS)
-def test_constraints_are_told_whether_anything_brakes_ahead_of_them(kernel: str) -> None:
+def test_constraints_are_told_whether_anything_brakes_ahead_of_them() -> None:
     task = paper_lift()
     unknown = dataclasses.replace(task, path=Opaque(task.path, known_ahead=False))
     for case, options, blind in ((task, {}, False), (task, {"preview": None}, True), (unknown, {}, True)):
         sighted = Sighted(task.cell.nv)
-        controller = built(case, kernel, dt=DT, constraints=[sighted], **options)
+        controller = built(case, dt=DT, constraints=[sighted], **options)
         sighted.blind.clear()
         for _ in range(5):
             controller.step()
@@ -204,18 +201,17 @@ def test_constraints_are_told_whether_anything_brakes_ahead_of_them(kernel: str)
 # -- walls -------------------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("kernel", [pytest.param(k, marks=pytest.mark.slow) if k == "plain" else k for k in KERNELS])
 @pytest.mark.parametrize("acceleration", ACCELERATIONS)
 @pytest.mark.parametrize(
     "make",
     slow_unless(lambda make: make is dual_arm7, [paper_lift, dual_arm7, mixed_cell]),
     ids=lambda make: make.__name__,
 )
-def test_the_object_stops_at_a_wall(make: Callable[..., Scenario], acceleration: float, kernel: str) -> None:
+def test_the_object_stops_at_a_wall(make: Callable[..., Scenario], acceleration: float) -> None:
     task = limited(make(time_law="quintic"), acceleration)
     start, goal = (task.path.pose(clock).translation for clock in (0.0, task.path.duration))
     wall = 0.5 * (start + goal)[2]
-    run = drive(built(task, kernel, dt=DT, constraints=[Box(task.grasp, (-FAR,) * 3, (FAR, FAR, wall))]), 900)
+    run = drive(built(task, dt=DT, constraints=[Box(task.grasp, (-FAR,) * 3, (FAR, FAR, wall))]), 900)
     assert run.excess <= 1e-9
     assert run.off <= 1e-6
     assert run.apart <= 1e-6
@@ -256,13 +252,12 @@ def test_the_object_stops_at_any_wall(acceleration: float) -> None:
         assert any(b.name == "box" for b in run.last.binding), (i, run.last)
 
 
-@pytest.mark.parametrize("kernel", slow_but_first(KERNELS))
-def test_a_wall_binds_by_name_on_the_way_to_a_target(kernel: str) -> None:
+def test_a_wall_binds_by_name_on_the_way_to_a_target() -> None:
     task = paper_lift()
     start = task.path.pose(0.0)
     servo = dataclasses.replace(task, path=ServoPath(start, speed=0.1))
     controller = built(
-        servo, kernel, dt=DT, constraints=[Box(task.grasp, (-FAR,) * 3, (FAR, FAR, start.translation[2] + 0.03))]
+        servo, dt=DT, constraints=[Box(task.grasp, (-FAR,) * 3, (FAR, FAR, start.translation[2] + 0.03))]
     )
     controller.retarget(pin.SE3(start.rotation, start.translation + np.array([0.0, 0.0, 0.1])))
     run = drive(controller, 300)
@@ -277,9 +272,8 @@ def test_a_wall_binds_by_name_on_the_way_to_a_target(kernel: str) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("kernel", KERNELS)
 @pytest.mark.parametrize("acceleration", ACCELERATIONS)
-def test_an_elbow_keeps_its_speed(acceleration: float, kernel: str) -> None:
+def test_an_elbow_keeps_its_speed(acceleration: float) -> None:
     task = limited(paper_lift(time_law="quintic", duration=0.8), acceleration)
     frame, most = "slave_1/joint_3", 0.08
     index, data = task.cell.model.getFrameId(frame), task.cell.model.createData()
@@ -291,9 +285,9 @@ def test_an_elbow_keeps_its_speed(acceleration: float, kernel: str) -> None:
             found.append(float(np.linalg.norm(J[:3] @ step.velocity)))
         return found
 
-    free = drive(built(task, kernel, dt=DT, constraints=[]), 2000)
+    free = drive(built(task, dt=DT, constraints=[]), 2000)
     assert max(speeds(free)) > most
-    run = drive(built(task, kernel, dt=DT, constraints=[SlowPoint(task.cell, frame, most)]), 2000)
+    run = drive(built(task, dt=DT, constraints=[SlowPoint(task.cell, frame, most)]), 2000)
     assert run.excess <= 1e-9
     assert run.off <= 1e-6
     assert run.apart <= 1e-6
@@ -305,12 +299,11 @@ def test_an_elbow_keeps_its_speed(acceleration: float, kernel: str) -> None:
     assert {s.binding[0].name for s in slowed} == {f"speed of {frame}"}
 
 
-@pytest.mark.parametrize("kernel", slow_but_first(KERNELS))
 @pytest.mark.parametrize("acceleration", ACCELERATIONS)
-def test_the_object_keeps_its_energy(acceleration: float, kernel: str) -> None:
+def test_the_object_keeps_its_energy(acceleration: float) -> None:
     task = limited(paper_lift(time_law="quintic"), acceleration)
     mass, most = 9.0, 0.05
-    run = drive(built(task, kernel, dt=DT, constraints=[LittleEnergy(task.grasp, mass, most)]), 2000)
+    run = drive(built(task, dt=DT, constraints=[LittleEnergy(task.grasp, mass, most)]), 2000)
     energy = []
     for step in run.steps:
         v = task.grasp.carried(step.state)[0], task.grasp.carried(CellState(task.cell, step.q_next))[0]
@@ -323,8 +316,7 @@ def test_the_object_keeps_its_energy(acceleration: float, kernel: str) -> None:
     assert any(b.name == "energy" for s in run.steps for b in s.binding)
 
 
-@pytest.mark.parametrize("kernel", slow_but_first(KERNELS))
-def test_motors_keep_their_torques(kernel: str) -> None:
+def test_motors_keep_their_torques() -> None:
     """Faster, the paper's lift would need more than gravity and a fifth of what it takes at full rate."""
     task = limited(paper_lift(time_law="quintic", duration=0.6), 20.0)
     model, data = task.cell.model, task.cell.model.createData()
@@ -339,10 +331,10 @@ def test_motors_keep_their_torques(kernel: str) -> None:
             before = step.velocity
         return np.abs(found).max(axis=0), np.abs(gravity).max(axis=0)
 
-    free = drive(built(task, kernel, dt=DT, constraints=[]), 2000)
+    free = drive(built(task, dt=DT, constraints=[]), 2000)
     full, gravity = torques(free)
     largest = gravity + 0.2 * (full - gravity) + 0.5
-    run = drive(built(task, kernel, dt=DT, constraints=[Torques(task.cell, largest)]), 2000)
+    run = drive(built(task, dt=DT, constraints=[Torques(task.cell, largest)]), 2000)
     found, _ = torques(run)
     assert (full > largest).any()
     assert (found <= largest + 0.02 * (full - gravity) + 0.05).all()
@@ -365,16 +357,15 @@ def lifted_by_the_master(task: Scenario, speed: float, rank: Rank) -> Told:
     return Told(make, rank)
 
 
-@pytest.mark.parametrize("kernel", KERNELS)
 @pytest.mark.parametrize("solver", ["auto", "daqp"])
-def test_clearance_gives_way_before_the_arms_part_and_limits_never_do(solver: str, kernel: str) -> None:
+def test_clearance_gives_way_before_the_arms_part_and_limits_never_do(solver: str) -> None:
     """The master has to rise faster than the slaves can follow."""
     task = paper_lift()
     speed = task.cell.limits.velocity.copy()
     speed[6:] = 1e-3
     task = limited(task, np.inf, velocity=speed)
     soft, hard = (
-        built(task, kernel, dt=DT, constraints=[lifted_by_the_master(task, 0.05, rank)], solver=solver).step()
+        built(task, dt=DT, constraints=[lifted_by_the_master(task, 0.05, rank)], solver=solver).step()
         for rank in (Rank.CLEARANCE, Rank.LIMITS)
     )
     for step, kept in ((soft, False), (hard, True)):
@@ -385,11 +376,10 @@ def test_clearance_gives_way_before_the_arms_part_and_limits_never_do(solver: st
     assert "told" in {b.name for b in soft.binding}
 
 
-@pytest.mark.parametrize("kernel", KERNELS)
 @pytest.mark.parametrize("rank", [Rank.CLEARANCE, Rank.LIMITS])
-def test_the_object_leaves_its_path_for_either_rank(rank: Rank, kernel: str) -> None:
+def test_the_object_leaves_its_path_for_either_rank(rank: Rank) -> None:
     task = paper_lift()
-    controller = built(task, kernel, dt=DT, constraints=[lifted_by_the_master(task, 0.3, rank)])
+    controller = built(task, dt=DT, constraints=[lifted_by_the_master(task, 0.3, rank)])
     run = drive(controller, 20)
     assert run.excess <= 1e-9
     assert run.apart <= 1e-6
@@ -458,30 +448,25 @@ def spoil(constraint: Any, name: str, nv: int) -> None:
     constraint.make = {**rows_of(nv), **lines_of()}[name]
 
 
-@pytest.mark.parametrize("kernel", KERNELS)
 @pytest.mark.parametrize("name", NONSENSE)
-def test_nonsense_at_the_start_is_a_named_error(name: str, kernel: str) -> None:
+def test_nonsense_at_the_start_is_a_named_error(name: str) -> None:
     task = paper_lift()
     constraint = nonsense(name, task.cell.nv)
     spoil(constraint, name, task.cell.nv)
-    controller = QPController(
-        task.cell, task.grasp, task.path, dt=DT, options=QPOptions(kernel=kernel), constraints=[constraint]
-    )
+    controller = QPController(task.cell, task.grasp, task.path, dt=DT, options=QPOptions(), constraints=[constraint])
     with pytest.raises(InvalidInputError, match="constraint"):
         controller.reset(task.q_start)
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("kernel", KERNELS)
 @pytest.mark.parametrize("acceleration", [np.inf, 10.0])
-def test_any_nonsense_in_motion_holds_by_name_until_it_ends(acceleration: float, kernel: str) -> None:
+def test_any_nonsense_in_motion_holds_by_name_until_it_ends(acceleration: float) -> None:
     task = limited(paper_lift(time_law="quintic", duration=1.0), acceleration)
     in_motion: dict[type, tuple[QPController, ControlStep]] = {}
-    turn = slice(None) if kernel == "compiled" else slice(int(np.isinf(acceleration)), None, 2)  # half for each
-    for name in NONSENSE[turn]:
+    for name in NONSENSE:
         good = nonsense(name, task.cell.nv)
         if type(good) not in in_motion:
-            controller = built(task, kernel, dt=DT, constraints=[Box(task.grasp, (-FAR,) * 3, (FAR,) * 3), good])
+            controller = built(task, dt=DT, constraints=[Box(task.grasp, (-FAR,) * 3, (FAR,) * 3), good])
             in_motion[type(good)] = controller, drive(controller, 60).last
         controller, before = copy.deepcopy(in_motion[type(good)])
         constraint: Any = controller.constraints[1]
@@ -501,13 +486,12 @@ def test_any_nonsense_in_motion_holds_by_name_until_it_ends(acceleration: float,
         assert run.last.finished, name
 
 
-@pytest.mark.parametrize("kernel", KERNELS)
-def test_rows_that_fail_hold_the_object_without_a_look_ahead_too(kernel: str) -> None:
+def test_rows_that_fail_hold_the_object_without_a_look_ahead_too() -> None:
     """Nothing else asks the constraint: the step itself has to hold, by name, while it fails."""
     task = limited(paper_lift(time_law="quintic"), 10.0)
     constraint = nonsense("raises its own", task.cell.nv)
     good = constraint.make
-    controller = built(task, kernel, dt=DT, constraints=[constraint], preview=None)
+    controller = built(task, dt=DT, constraints=[constraint], preview=None)
     assert drive(controller, 40).statuses <= {Status.TRACKING, Status.SLOWED}
     spoil(constraint, "raises its own", task.cell.nv)
     for _ in range(30):
@@ -537,11 +521,10 @@ def test_what_is_no_constraint_is_refused() -> None:
         QPController(task.cell, task.grasp, task.path, dt=DT, constraints=[box, copy.copy(box)])
 
 
-@pytest.mark.parametrize("kernel", KERNELS)
-def test_a_refused_reset_changes_nothing(kernel: str) -> None:
+def test_a_refused_reset_changes_nothing() -> None:
     task = limited(paper_lift(), 10.0)
     constraint = nonsense("raises", task.cell.nv)
-    controller, other = (built(task, kernel, dt=DT, constraints=[c]) for c in (constraint, copy.copy(constraint)))
+    controller, other = (built(task, dt=DT, constraints=[c]) for c in (constraint, copy.copy(constraint)))
     drive(controller, 40)
     drive(other, 40)
     right = constraint.make
@@ -553,7 +536,7 @@ def test_a_refused_reset_changes_nothing(kernel: str) -> None:
         assert np.array_equal(controller.step().velocity, other.step().velocity)
 
 
-# -- both kernels, and copies ------------------------------------------------------------------------------------------
+# -- recorded steps, and copies ----------------------------------------------------------------------------------------
 
 
 def all_kinds(task: Scenario) -> list[Any]:
@@ -576,17 +559,16 @@ def all_kinds(task: Scenario) -> list[Any]:
 def test_constraints_of_all_kinds_as_recorded(acceleration: float, shortcut: bool, golden: Golden) -> None:
     for make in (paper_lift, mixed_cell):
         task = limited(make(time_law="quintic"), acceleration)
-        done = golden.of(built(task, golden.kernel, dt=DT, constraints=all_kinds(task), shortcut=shortcut))
+        done = golden.of(built(task, dt=DT, constraints=all_kinds(task), shortcut=shortcut))
         rng, q = np.random.default_rng(0), None
         for i in range(250):
             step = done.take(q)
             q = task.cell.moved(step.q_next, rng.uniform(-1e-5, 1e-5, task.cell.nv)) if i > 100 else None
 
 
-@pytest.mark.parametrize("kernel", slow_but_first(KERNELS))
-def test_a_deep_copy_has_constraints_of_its_own(kernel: str) -> None:
+def test_a_deep_copy_has_constraints_of_its_own() -> None:
     task = limited(paper_lift(time_law="quintic"), 5.0)
-    controller = built(task, kernel, dt=DT, constraints=all_kinds(task))
+    controller = built(task, dt=DT, constraints=all_kinds(task))
     drive(controller, 120)
     other = copy.deepcopy(controller)
     assert all(a is not b for a, b in zip(controller.constraints, other.constraints, strict=True))
@@ -618,7 +600,7 @@ class Failing(QpSolver):
         return dataclasses.replace(found, status=SolverStatus.FAILED, x=nothing) if self.broken else found
 
 
-def braked(kernel: str, rank: Rank, lower: Callable[[float], float]) -> tuple[float, float, ControlStep]:
+def braked(rank: Rank, lower: Callable[[float], float]) -> tuple[float, float, ControlStep]:
     """The speed before and after the solver fails, along the present motion, and the step.
 
     A row asks for at least ``lower`` of the speed before.
@@ -628,7 +610,7 @@ def braked(kernel: str, rank: Rank, lower: Callable[[float], float]) -> tuple[fl
     way, least = np.zeros(cell.nv), [-np.inf]
     told = Told(lambda _: (way[None].copy(), np.array([least[0]]), np.array([np.inf])), rank)
     solver = Failing()
-    options = QPOptions(kernel=kernel, shortcut=False, solver=solver)
+    options = QPOptions(shortcut=False, solver=solver)
     controller = QPController(cell, task.grasp, task.path, dt=DT, options=options, constraints=[told])
     controller.reset(task.q_start)
     for _ in range(200):
@@ -645,18 +627,17 @@ def braked(kernel: str, rank: Rank, lower: Callable[[float], float]) -> tuple[fl
 
 
 @pytest.mark.parametrize("rank", [Rank.LIMITS, Rank.CLEARANCE])
-@pytest.mark.parametrize("kernel", KERNELS)
 @pytest.mark.slow
-def test_a_brake_without_a_solver_keeps_the_rows(kernel: str, rank: Rank) -> None:
-    speed, free, hardest = braked(kernel, rank, lambda _: -np.inf)
+def test_a_brake_without_a_solver_keeps_the_rows(rank: Rank) -> None:
+    speed, free, hardest = braked(rank, lambda _: -np.inf)
     assert free < 0.97 * speed  # the brake without rows
-    _, kept, _ = braked(kernel, rank, lambda speed: 0.99 * speed)
+    _, kept, _ = braked(rank, lambda speed: 0.99 * speed)
     assert 0.99 * speed - 1e-9 <= kept < speed
-    _, beyond, step = braked(kernel, rank, lambda speed: 2.0 * speed)  # nothing keeps that one
+    _, beyond, step = braked(rank, lambda speed: 2.0 * speed)  # nothing keeps that one
     if rank is Rank.CLEARANCE:
         assert beyond >= kept - 1e-9  # it breaks the row by the least, and speeds up for nobody
     assert beyond <= 1.02 * speed
-    _, idle, same = braked(kernel, rank, lambda speed: -speed)
+    _, idle, same = braked(rank, lambda speed: -speed)
     assert np.array_equal(same.velocity, hardest.velocity)
     assert idle == free
     assert step.rate <= 1.0

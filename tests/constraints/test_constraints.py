@@ -22,13 +22,11 @@ from coopqp import (
 )
 from coopqp.control import StallBound
 from coopqp.model import CellState
-from coopqp.native import available_kernels
 from coopqp.scenarios import Scenario, paper_lift
 from coopqp.simulation import chain_error, tool_placements
 from coopqp.solvers import available_solvers
 from coopqp.spatial import Array
 
-pytestmark = pytest.mark.parametrize("kernel", slow_but_first(available_kernels()))
 ACCELERATIONS = pytest.mark.parametrize("acceleration", slow_but_first([5.0, np.inf]))
 
 
@@ -96,10 +94,10 @@ class Rows:
         return G, np.array(self.lower), np.array(self.upper)
 
 
-def made(lift: Scenario, kernel: str, *constraints: Any, acceleration: float = np.inf, **options: Any) -> QPController:
+def made(lift: Scenario, *constraints: Any, acceleration: float = np.inf, **options: Any) -> QPController:
     cell = lift.cell.with_limits(acceleration=acceleration) if np.isfinite(acceleration) else lift.cell
     controller = QPController(
-        cell, lift.grasp, lift.path, dt=0.002, options=QPOptions(kernel=kernel, **options), constraints=constraints
+        cell, lift.grasp, lift.path, dt=0.002, options=QPOptions(**options), constraints=constraints
     )
     controller.reset(lift.q_start)
     return controller
@@ -114,10 +112,10 @@ def worth(controller: QPController, step: ControlStep) -> tuple[float, float]:
 
 
 @ACCELERATIONS
-def test_the_object_brakes_ahead_of_a_wall_and_stays_on_its_path(kernel: str, acceleration: float) -> None:
+def test_the_object_brakes_ahead_of_a_wall_and_stays_on_its_path(acceleration: float) -> None:
     lift = paper_lift(duration=1.5)
     top = lift.path.pose(0.0).translation[2] + 0.2
-    controller = made(lift, kernel, Box(lift.grasp, top), acceleration=acceleration)
+    controller = made(lift, Box(lift.grasp, top), acceleration=acceleration)
     for _ in range(900):
         step = controller.step()
         apart, off = worth(controller, step)
@@ -133,9 +131,9 @@ def test_the_object_brakes_ahead_of_a_wall_and_stays_on_its_path(kernel: str, ac
 
 @pytest.mark.slow
 @ACCELERATIONS
-def test_a_slow_elbow_slows_the_object_on_its_path(kernel: str, acceleration: float) -> None:
+def test_a_slow_elbow_slows_the_object_on_its_path(acceleration: float) -> None:
     lift = paper_lift(duration=1.5)
-    controller = made(lift, kernel, ElbowSpeed(0.03), acceleration=acceleration)
+    controller = made(lift, ElbowSpeed(0.03), acceleration=acceleration)
     named, lowest = False, 1.0
     for _ in range(3000):
         step = controller.step()
@@ -165,11 +163,11 @@ class Scaled:
 
 @pytest.mark.parametrize("rank", [Rank.LIMITS, Rank.CLEARANCE])
 @ACCELERATIONS
-def test_rows_in_tiny_units_bind_as_they_say(kernel: str, acceleration: float, rank: Rank, rng: Any) -> None:
+def test_rows_in_tiny_units_bind_as_they_say(acceleration: float, rank: Rank, rng: Any) -> None:
     """Whatever their scale, the elbow keeps its speed; where they have lost their digits they are refused by name."""
     lift = paper_lift(duration=1.5, time_law="linear")
     for scale in (1e-14, 10.0 ** -float(rng.uniform(4.0, 250.0))):
-        controller = made(lift, kernel, Scaled(ElbowSpeed(0.03), scale, rank), acceleration=acceleration)
+        controller = made(lift, Scaled(ElbowSpeed(0.03), scale, rank), acceleration=acceleration)
         named = False
         for _ in range(60):
             step = controller.step()
@@ -177,12 +175,12 @@ def test_rows_in_tiny_units_bind_as_they_say(kernel: str, acceleration: float, r
             named = named or any(b.name == "elbow" for b in step.binding)
         assert named
     with pytest.raises(InvalidInputError, match="constraint elbow: the largest entry of row 0"):
-        made(lift, kernel, Scaled(ElbowSpeed(0.03), 1e-300, rank)).reset(lift.q_start)
+        made(lift, Scaled(ElbowSpeed(0.03), 1e-300, rank)).reset(lift.q_start)
 
 
-def test_a_rate_bound_holds_along_the_whole_path(kernel: str) -> None:
+def test_a_rate_bound_holds_along_the_whole_path() -> None:
     lift = paper_lift(duration=1.5)
-    controller = made(lift, kernel, Speed(0.2), acceleration=5.0)
+    controller = made(lift, Speed(0.2), acceleration=5.0)
     fastest, named = 0.0, False
     for _ in range(4000):
         step = controller.step()
@@ -196,10 +194,10 @@ def test_a_rate_bound_holds_along_the_whole_path(kernel: str) -> None:
 
 
 @ACCELERATIONS
-def test_a_stall_bound_keeps_the_distance_by_which_arms_may_part(kernel: str, acceleration: float) -> None:
+def test_a_stall_bound_keeps_the_distance_by_which_arms_may_part(acceleration: float) -> None:
     """v T/2 + 5 dt v of every step, with the grasps' speed v and the time T in which all joints stop."""
     lift, distance = paper_lift(duration=0.7, time_law="quintic"), 0.01 if np.isfinite(acceleration) else 0.002
-    controller = made(lift, kernel, StallBound(distance, dt=lift.dt), acceleration=acceleration)
+    controller = made(lift, StallBound(distance, dt=lift.dt), acceleration=acceleration)
     controller.reset(lift.q_start)
     step, farthest, named = controller.step(), 0.0, set()
     while not step.finished:
@@ -215,10 +213,10 @@ def test_a_stall_bound_keeps_the_distance_by_which_arms_may_part(kernel: str, ac
             StallBound(**arguments)
 
 
-def test_rows_of_the_rank_clearance_give_way_before_the_arms_part(kernel: str) -> None:
+def test_rows_of_the_rank_clearance_give_way_before_the_arms_part() -> None:
     lift = paper_lift(duration=1.5)
     contradiction = Rows([-np.inf, 0.1], [-0.1, np.inf], Rank.CLEARANCE)
-    controller = made(lift, kernel, contradiction)
+    controller = made(lift, contradiction)
     for _ in range(100):
         step = controller.step()
         assert step.given_up.chain == 0.0
@@ -227,18 +225,18 @@ def test_rows_of_the_rank_clearance_give_way_before_the_arms_part(kernel: str) -
     assert any(b.name == "rows" for b in step.binding)
 
 
-def test_rows_of_the_rank_limits_are_never_broken_by_more_than_rounding(kernel: str) -> None:
+def test_rows_of_the_rank_limits_are_never_broken_by_more_than_rounding() -> None:
     lift = paper_lift(duration=1.5)
-    controller = made(lift, kernel, Rows([-0.02], [0.02]), preview=None)
+    controller = made(lift, Rows([-0.02], [0.02]), preview=None)
     for _ in range(300):
         assert abs(float(controller.step().velocity[0])) <= 0.02 + 1e-8
 
 
 @pytest.mark.parametrize("solver", slow_but_first(sorted({"ldp", "daqp"} & set(available_solvers()), reverse=True)))
 @pytest.mark.parametrize("shortcut", [True, False])
-def test_rows_hold_with_any_solver_and_without_the_shortcut(kernel: str, solver: str, shortcut: bool) -> None:
+def test_rows_hold_with_any_solver_and_without_the_shortcut(solver: str, shortcut: bool) -> None:
     lift = paper_lift(duration=1.5)
-    controller = made(lift, kernel, ElbowSpeed(0.03), solver=solver, shortcut=shortcut)
+    controller = made(lift, ElbowSpeed(0.03), solver=solver, shortcut=shortcut)
     for _ in range(150):
         step = controller.step()
         assert np.abs(elbow(CellState(lift.cell, step.q)) @ step.velocity).max() <= 0.03 + 1e-7
@@ -248,10 +246,10 @@ def test_rows_hold_with_any_solver_and_without_the_shortcut(kernel: str, solver:
 @pytest.mark.parametrize(
     "broken", [ValueError("no"), None, (1, 2, 3), (np.full((1, 18), np.nan), np.zeros(1), np.zeros(1)), "rows"]
 )
-def test_a_constraint_that_fails_holds_by_name_until_it_answers_again(kernel: str, broken: Any) -> None:
+def test_a_constraint_that_fails_holds_by_name_until_it_answers_again(broken: Any) -> None:
     lift = paper_lift(duration=1.5)
     constraint = Rows([-9.0], [9.0])
-    controller = made(lift, kernel, constraint, acceleration=10.0)
+    controller = made(lift, constraint, acceleration=10.0)
     for _ in range(100):
         controller.step()
     constraint.broken = broken if broken is not None else (np.zeros((1, 3)), np.zeros(1), np.zeros(1))
@@ -264,13 +262,13 @@ def test_a_constraint_that_fails_holds_by_name_until_it_answers_again(kernel: st
     assert after[-1].status in (Status.SLOWED, Status.TRACKING)
 
 
-def test_what_is_no_constraint_is_refused_by_name(kernel: str) -> None:
+def test_what_is_no_constraint_is_refused_by_name() -> None:
     lift = paper_lift(duration=1.5)
     bad = Rows([-1.0], [1.0])
     bad.rank = Rank.PATH
     for item in (object(), bad):
         with pytest.raises(InvalidInputError, match=r"constraints\[0\]"):
-            made(lift, kernel, item)
+            made(lift, item)
     bad = Rows([1.0], [-1.0])
     with pytest.raises(InvalidInputError, match="rows"):
-        made(lift, kernel, bad)
+        made(lift, bad)

@@ -11,7 +11,7 @@ import pytest
 from coopqp import Cause, Knot, Rank
 from coopqp.constraints.rate import BoundTrouble, lines_of
 from coopqp.constraints.samples import PathSamples
-from coopqp.constraints.velocity import ConstraintTrouble, Rows, no_rows
+from coopqp.constraints.velocity import ConstraintTrouble, Rows
 from coopqp.spatial import Array
 
 NOTHING: Any = None
@@ -23,30 +23,9 @@ def rows(count: int, first: int, nv: int = 3) -> Rows:
     return Rows(np.outer(n, np.ones(nv)), -1.0 * n, 1.0 * n, 0.1 * n, n.astype(int))
 
 
-def same(a: Rows, b: Rows) -> None:
-    for f in dataclasses.fields(Rows):
-        np.testing.assert_array_equal(getattr(a, f.name), getattr(b, f.name))
-
-
 def test_ranks_are_six_in_the_order_of_precedence() -> None:
     names = ["LIMITS", "CHAIN", "CLEARANCE", "PATH", "RATE", "COMFORT"]
     assert [(rank.name, int(rank)) for rank in Rank] == [(name, i) for i, name in enumerate(names)]
-
-
-def test_rows_are_stacked_in_order() -> None:
-    same(rows(2, 0).and_also(rows(3, 2)), rows(5, 0))
-    same(rows(5, 0).only(np.array([False, False, True, True, True])), rows(3, 2))
-    assert len(rows(2, 0).and_also(rows(3, 2))) == 5
-
-
-def test_no_rows_add_nothing() -> None:
-    nothing, some = no_rows(3), rows(2, 1)
-    assert len(nothing) == 0
-    assert nothing.G.shape == (0, 3)
-    assert nothing.owner.dtype.kind == "i"
-    same(nothing.and_also(some), some)
-    same(some.and_also(nothing), some)
-    assert len(nothing.and_also(nothing)) == 0
 
 
 @pytest.mark.parametrize(

@@ -6,7 +6,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from marks import slow_but_first
 from runs import built, drive, fast_lift
 
 from coopqp import (
@@ -18,9 +17,8 @@ from coopqp import (
     Status,
     SupervisionOptions,
 )
-from coopqp.control.step.decoding import CAUSES
-from coopqp.control.step.verdict import cause_of
-from coopqp.native import available_kernels, layout
+from coopqp.control.step.decoding import CAUSES, cause_of
+from coopqp.native import layout
 from coopqp.scenarios import at_limit, at_singularity, paper_lift
 
 LIMIT, SINGULAR, NEAR, APART, REINS, JUMP = (
@@ -98,9 +96,8 @@ def lagging(step: ControlStep) -> Any:
     return q
 
 
-@pytest.mark.parametrize("kernel", available_kernels())
-def test_causes_of_a_run(kernel: str) -> None:
-    controller = built(fast_lift(), kernel)
+def test_causes_of_a_run() -> None:
+    controller = built(fast_lift())
     assert (Status.SLOWED, Cause.LIMIT) in seen(drive(controller, 20))
     bad = controller.step(np.full(controller.cell.nq, np.nan))
     assert (bad.status, bad.cause) == (Status.HOLDING, Cause.INPUT)
@@ -112,28 +109,23 @@ def test_causes_of_a_run(kernel: str) -> None:
     assert (Status.PAUSED, Cause.OPERATOR) in seen(drive(controller, 20))
 
 
-@pytest.mark.parametrize("kernel", available_kernels())
-def test_causes_of_arms_that_are_elsewhere(kernel: str) -> None:
+def test_causes_of_arms_that_are_elsewhere() -> None:
     options = SupervisionOptions(let_in=0.0)
-    for_fault = seen(drive(built(paper_lift(), kernel, supervision=options), 60, measured=lagging))
+    for_fault = seen(drive(built(paper_lift(), supervision=options), 60, measured=lagging))
     assert for_fault >= {(Status.FAULT, Cause.TRACKING)}
     slow = SupervisionOptions(let_in=0.0, slow_from=1e-3, hold_from=0.5, fault_from=0.6)
-    assert seen(drive(built(paper_lift(), kernel, supervision=slow), 60, measured=lagging)) >= {
-        (Status.SLOWED, Cause.TRACKING)
-    }
+    assert seen(drive(built(paper_lift(), supervision=slow), 60, measured=lagging)) >= {(Status.SLOWED, Cause.TRACKING)}
 
 
-@pytest.mark.parametrize("kernel", slow_but_first(available_kernels()))
-def test_causes_ahead(kernel: str) -> None:
-    blocked = seen(drive(built(at_singularity("reach"), kernel), 800))
+def test_causes_ahead() -> None:
+    blocked = seen(drive(built(at_singularity("reach")), 800))
     assert {cause for status, cause in blocked if status is Status.BLOCKED} <= {Cause.LIMIT, Cause.SINGULARITY}
-    blocked = seen(drive(built(at_limit(direction=(0.1, 0.05, 1.0)), kernel), 800))
+    blocked = seen(drive(built(at_limit(direction=(0.1, 0.05, 1.0))), 800))
     assert (Status.BLOCKED, Cause.LIMIT) in blocked
 
 
-@pytest.mark.parametrize("kernel", available_kernels())
-def test_cause_of_a_path_that_begins_elsewhere(kernel: str) -> None:
-    controller, task = built(paper_lift(), kernel), paper_lift()
+def test_cause_of_a_path_that_begins_elsewhere() -> None:
+    controller, task = built(paper_lift()), paper_lift()
     assert isinstance(task.path, LinePath)
     drive(controller, 3)
     start = task.path.start.copy()
@@ -144,6 +136,6 @@ def test_cause_of_a_path_that_begins_elsewhere(kernel: str) -> None:
 
 
 def test_a_replaced_step_keeps_its_cause() -> None:
-    controller = built(paper_lift(), "auto")
+    controller = built(paper_lift())
     step = controller.step(dt=10.0)
     assert step.replaced(reason="").cause is Cause.INPUT

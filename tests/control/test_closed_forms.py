@@ -21,29 +21,19 @@ from coopqp import (
     PreviewOptions,
     QPController,
     RobotCell,
-    SupervisionOptions,
 )
 from coopqp.control import StallBound
-from coopqp.control.core.force_memory import minding_scalars, minding_size
 from coopqp.control.lookahead.options import PlanLimits
 from coopqp.control.lookahead.ramp_time import RampTime
-from coopqp.control.monitoring.commanded import ChainWatch, among_arms, expected
-from coopqp.control.monitoring.drift import carried_drift, from_others, mean_where
-from coopqp.control.monitoring.lag import excess_cap
-from coopqp.control.monitoring.noise import noise_seen
-from coopqp.control.monitoring.servos import ServoWatch
-from coopqp.control.monitoring.stress import StressWatch, servo_wrenches, whole_compliance
-from coopqp.control.monitoring.supervision import Supervision, grasp_lengths
-from coopqp.control.monitoring.watch import Watch, fall_gently
+from coopqp.control.monitoring.stress import servo_wrenches, whole_compliance
 from coopqp.control.operator.hands import BELT_FILTER, BELT_SILENCE, HAND_FILTER, LAG_GAIN, Clutch, Gear
 from coopqp.control.operator.trail import Trail
-from coopqp.control.speed_override import SpeedOverride, brake_without_horizon
 from coopqp.control.step.contact import Contact, filter_time, handed
 from coopqp.control.step.decoding import reason
 from coopqp.control.step.start import check_start, held_command, rate_into, start_warning
-from coopqp.control.step.verdict import too_close
 from coopqp.errors import StartWarning, StiffnessWarning
 from coopqp.model import CellState
+from coopqp.model.shapes import too_close
 from coopqp.native import constants, layout
 from coopqp.paths.grasp_motion import GraspMotion
 from coopqp.scenarios import Scenario
@@ -97,33 +87,6 @@ def test_the_rate_into_another_path_is_the_closest_one(rng: np.random.Generator)
     assert rate_into(0.0, now, now, length=0.3) is None
 
 
-def test_joints_brake_together_by_the_one_that_takes_longest() -> None:
-    acceleration = np.array([2.0, 8.0])
-    assert brake_without_horizon(np.array([0.3, -0.8]), acceleration, 0.5) == pytest.approx(0.5 / 0.15)
-    assert brake_without_horizon(np.array([0.1, -0.8]), acceleration, 0.5) == pytest.approx(0.5 / 0.1)
-    assert brake_without_horizon(np.array([4.0, 0.0]), acceleration, 1.0) == pytest.approx(0.5)
-    assert brake_without_horizon(np.zeros(2), acceleration, 0.5) == np.inf
-
-
-def test_the_null_space_motion_fades_while_paused_and_comes_back() -> None:
-    reins = SpeedOverride(override=0.7)
-    assert reins.share == 0.7
-    reins.advance(1e-3, 0.4)
-    assert reins.ease == 1.0
-    reins.paused = True
-    assert reins.share == 0.0
-    for expected_ease in (0.6, 0.2, 0.0):
-        reins.advance(1e-3, 0.4)
-        assert reins.ease == pytest.approx(expected_ease)
-    assert (reins.started(1e-3).ease, reins.started(1e-3).paused, reins.started(1e-3).override) == (0.0, True, 0.7)
-    reins.paused = False
-    for expected_ease in (0.4, 0.8, 1.0, 1.0):
-        reins.advance(1e-3, 0.4)
-        assert reins.ease == pytest.approx(expected_ease)
-    assert reins.started(0.7).ease == 1.0  # at the blocked rate it still goes
-    assert reins.started(0.71).ease == 0.0
-
-
 @pytest.mark.parametrize("limited", [True, False])
 def test_a_change_of_motion_takes_as_long_as_the_joints_need(paper: Scenario, limited: bool) -> None:
     acceleration = np.linspace(2.0, 8.0, 18) if limited else np.inf
@@ -151,90 +114,6 @@ def test_a_change_of_motion_takes_as_long_as_the_joints_need(paper: Scenario, li
 # -- supervision -------------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("filter_time", [0.0, 0.004])
-def test_the_cap_falls_in_a_line_from_where_it_slows_to_where_it_holds(paper: Scenario, filter_time: float) -> None:
-    """By the distance of an arm from the mean of the others, as a low-pass of first order lets it through."""
-    dt = 0.002
-    options = SupervisionOptions(
-        slow_from=3e-4, hold_from=1.1e-3, let_in=0.0, noise_margin=0.0, recovery_time=0.0, filter_time=filter_time,
-        stall_samples=None, fault_from=0.01,
-    )  # fmt: skip
-    for d in (1e-4, 2.9e-4, 5e-4, 7e-4, 9e-4, 1.3e-3):
-        watch, filtered = Supervision(paper.cell, paper.grasp, options), 0.0
-        for i in range(12):
-            away = np.zeros((3, 6))
-            away[2, 1] = d + 1e-12 * i
-            filtered += dt / (filter_time + dt) * (d - filtered)
-            seen = watch.watch(paper.q_start + 1e-9 * i, paper.q_start, away, dt)
-            expected_cap = float(np.clip((1.1e-3 - filtered) / 8e-4, 0.0, 1.0))
-            if i + 1 >= constants.FEW_SAMPLES:
-                assert seen.rate_cap == pytest.approx(expected_cap, abs=1e-6)
-                assert seen.hold == (expected_cap == 0.0)
-                assert (seen.arm, bool(seen.reason)) == ((2, True) if expected_cap < 1.0 else (-1, False))
-
-
-def test_noise_is_the_root_mean_square_of_second_differences(rng: np.random.Generator) -> None:
-    """A sixth of their square is that of the noise; motion at constant speed is none."""
-    last, step, square = np.zeros((2, 3)), np.zeros((2, 3)), np.zeros(2)
-    taken: list[Array] = []
-    for i in range(1, 400):
-        values = np.array([[0.02], [0.05]]) * i + np.array([[1e-3], [3e-3]]) * rng.normal(size=(2, 3))
-        taken.append(values)
-        noise = noise_seen(values, last, step, square, float(i))
-        if i > 2:
-            bends = np.diff(np.array(taken), n=2, axis=0)
-            mean = np.square(bends).sum(axis=2).mean(axis=0)
-            assert noise == pytest.approx(math.sqrt(mean.max() / 6.0))
-        else:
-            assert noise == 0.0
-    assert noise == pytest.approx(math.sqrt(3.0) * 3e-3, rel=0.15)
-    first = noise_seen(values, last, step, square, 400.0, np.array([True, False]))
-    assert first < 0.5 * noise  # only rows that count
-
-
-def test_arms_are_compared_with_those_that_hold(rng: np.random.Generator) -> None:
-    values = rng.normal(size=(4, 6))
-    holds = np.array([True, True, False, True])
-    apart = from_others(holds) @ values
-    for k in (0, 1, 3):
-        others = [j for j in (0, 1, 3) if j != k]
-        np.testing.assert_allclose(apart[k], values[k] - values[others].mean(axis=0), atol=1e-14)
-    assert not apart[2].any()
-    assert not from_others(np.array([False, True])).any()
-    np.testing.assert_allclose(mean_where(holds, values), values[[0, 1, 3]].mean(axis=0))
-    assert not mean_where(~np.ones(4, dtype=bool), values).any()
-
-
-def test_arms_that_go_on_are_as_far_out_of_step_as_before(rng: np.random.Generator) -> None:
-    values, drift = rng.normal(size=(2, 4, 6))
-    before, now = np.array([True, True, True, False]), np.array([False, True, True, True])
-    drift = from_others(before) @ drift
-    carried = carried_drift(values, drift, before, now)
-    out_of_step = from_others(now) @ values - carried
-    base = 2.0 / 3.0 * drift  # from the mean of the others to that of all
-    rest = values - base
-    away = rest - rest[[1, 2]].mean(axis=0)
-    away[3] = 0.0  # the one that attaches is where it is
-    np.testing.assert_allclose(out_of_step, from_others(now) @ away, atol=1e-12)
-    alone = carried_drift(values, drift, np.array([True, False, False, False]), now)
-    assert np.isfinite(alone).all()
-
-
-def test_a_cap_falls_within_its_time_and_a_fault_at_once() -> None:
-    for last, cap, fault, expected_cap in (
-        (1.0, 0.0, False, 1.0 - 0.01 / constants.CAP_FALLS), (1.0, 0.999, False, 0.999), (0.001, 0.0, False, 0.0),
-        (1.0, 0.0, True, 0.0),
-    ):  # fmt: skip
-        watch = Watch(cap, hold=cap == 0.0, fault=fault)
-        fall_gently(watch, last, 0.01)
-        assert watch.rate_cap == pytest.approx(expected_cap)
-        assert watch.hold == (expected_cap == 0.0)
-    for share in (0.0, 0.25, 1.0):
-        assert excess_cap(share * constants.LAG_HOLDS) == pytest.approx(1.0 - share)
-    assert excess_cap(-1.0) == 1.0
-    assert excess_cap(1.0) == 0.0
-
-
 @pytest.mark.parametrize("shared", [False, True])
 def test_wrenches_bend_the_servos_by_what_is_seen(shared: bool, rng: np.random.Generator) -> None:
     own = np.array([a @ a.T + np.eye(6) for a in rng.normal(size=(3, 6, 6))])
@@ -250,90 +129,10 @@ def test_wrenches_bend_the_servos_by_what_is_seen(shared: bool, rng: np.random.G
     np.testing.assert_allclose(servo_wrenches(own, bent, both), wrenches, atol=1e-9)
 
 
-def test_forces_are_read_from_deflections_without_the_motion_of_the_delay(
-    paper: Scenario, rng: np.random.Generator
-) -> None:
-    """Arms that are late by the delay press nothing; a further deflection presses, through the filter."""
-    stiffness, dt, delay = np.full(18, 2e4), 0.004, 0.008
-    watch = StressWatch(paper.cell, paper.grasp, stiffness=stiffness, delay=delay, filter_time=0.012)
-    speed, bent = rng.normal(size=18) * 0.1, rng.normal(size=18) * 1e-4
-    speed[:12] *= 0.01
-    read = []
-    for i in range(12):
-        command = paper.q_start + dt * i * speed
-        watch.read(command - delay * speed * (i > 0) - bent, command, dt)
-        read.append(watch.forces.copy())
-    chain_bent = []
-    state = CellState(paper.cell, command)
-    for k, own in enumerate(paper.cell.columns):
-        J = state.jacobian(k)  # at the tool: the force is the same there
-        compliance = J @ np.diag(1.0 / stiffness[own]) @ J.T + constants.STRUCTURE * np.eye(6)
-        chain_bent.append(np.linalg.norm(np.linalg.solve(compliance, J @ bent[own])[:3]))
-    passed = 1.0 - 0.75 ** np.arange(1, 13)
-    np.testing.assert_allclose(read[-1], passed[-1] * np.array(chain_bent), rtol=5e-3)
-    watch.read(command - delay * speed - bent, command + dt * speed, dt, np.array([True, False, True]))
-    assert watch.forces[1] == 0.0
-
-
 def there(found: Array | None) -> Array:
     """What is not None."""
     assert found is not None
     return found
-
-
-def test_commands_lead_arms_apart_by_what_no_one_asked_for(paper: Scenario, rng: np.random.Generator) -> None:
-    watch, lengths = ChainWatch(paper.grasp, 2e-4), grasp_lengths(paper.grasp)
-    start = rng.normal(size=(3, 6)) * 1e-3
-    first = watch.look(start, None, started=False, held=False)
-    assert first.distance == pytest.approx(0.0, abs=1e-15)
-    np.testing.assert_allclose(there(first.mismatch), among_arms(start))
-    half = watch.look(0.5 * start, first.mismatch, started=True, held=False)  # half of it is corrected
-    assert half.distance == pytest.approx(0.0, abs=1e-15)
-    np.testing.assert_allclose(there(half.mismatch), 0.5 * among_arms(start))
-    grown = watch.look(3.0 * start, first.mismatch, started=True, held=False)  # and what grows was not asked for
-    np.testing.assert_allclose(there(grown.mismatch), among_arms(start))
-    assert grown.distance > 1e-3
-    errors = np.zeros((3, 6))
-    errors[1, :3] = 1.8e-4, 0.0, 0.0
-    for held, holds in ((False, False), (True, True)):
-        seen = watch.look(errors, None, started=True, held=held)
-        assert seen.distance == pytest.approx(1.8e-4)
-        assert (seen.holds, seen.mismatch) == (holds, None)
-        assert 1 in seen.arms
-    turned = np.zeros((3, 6))
-    turned[2, 3] = 1e-3
-    far = np.linalg.norm(turned[2] @ lengths)
-    assert watch.look(turned, None, started=True, held=False).distance == pytest.approx(far)
-    assert ChainWatch(paper.grasp, None).look(errors * 1e3, None, started=True, held=False).holds is False
-    assert watch.look(errors[:1], None, started=True, held=False).distance == 0.0
-    asked = rng.normal(size=(3, 6))
-    assert expected(None, None, 0.3) is None
-    for mismatch, shift in ((start, None), (None, asked), (start, asked)):
-        whole = sum(part for part in (mismatch, shift) if part is not None)
-        np.testing.assert_allclose(there(expected(mismatch, shift, 0.3)), 0.7 * np.asarray(whole))
-
-
-@pytest.mark.parametrize(("stiffer", "soft"), [(0.5, 0.5), (1.0, 1.0), (3.0, 1.0)])
-def test_servos_that_do_not_stand_where_wrenches_put_them_slow_the_object(stiffer: float, soft: float) -> None:
-    """In a line between two distances, beyond what the joints' haste explains; softer servos may deflect more."""
-    memory = np.zeros(minding_size(2))
-    m = minding_scalars(memory)
-    m.stage, m.rigid, m.stiffer, m.servo_samples = 2, 1.0, stiffer, 1e6
-    watch, arms, hasty = ServoWatch(memory, ("left", "right")), np.ones(2, dtype=bool), 0.5
-    assert watch.minds
-    way: dict[str, Any] = {"holds": arms, "way": 0.0, "dt": 0.01, "filter_time": 0.0, "margin": 0.0}
-    for share in (-0.5, 0.25, 0.75, 1.5):
-        slows, holds = constants.SERVO_SLOWS, constants.SERVO_HOLDS
-        distance = (slows + share * (holds - slows) + constants.SERVO_LATE * hasty) / soft
-        away = np.zeros((2, 6))
-        away[1, 2] = distance
-        cap, arm, far = watch.watch(away, np.eye(6), np.eye(3), hasty, **way)
-        assert cap == pytest.approx(float(np.clip(1.0 - share, 0.0, 1.0)), abs=1e-9)
-        assert far == pytest.approx(distance)
-        assert arm in (0, 1)
-        assert bool(m.suspected) == (share > 0.0)
-    m.stage = 1
-    assert watch.watch(away, np.eye(6), np.eye(3), hasty, **way) == (1.0, -1, 0.0)
 
 
 # -- starts ------------------------------------------------------------------------------------------------------------

@@ -7,7 +7,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from marks import slow_but_first
 from promise_cases.chain_cells import Oracle
 
 from coopqp import (
@@ -22,29 +21,19 @@ from coopqp import (
     SupervisionOptions,
 )
 from coopqp.baselines import PseudoInverseController
-from coopqp.control.monitoring.commanded import ChainWatch
-from coopqp.native import available_kernels
 from coopqp.scenarios import Scenario, five_joint_pair, paper_lift
 from coopqp.simulation import Monitor
 from coopqp.spatial import Array
 
-KERNELS = available_kernels()
 
-
-def controller(task: Scenario, kernel: str = "auto", **supervision: Any) -> QPController:
-    options = QPOptions(kernel=kernel, supervision=SupervisionOptions(**supervision))
+def controller(task: Scenario, **supervision: Any) -> QPController:
+    options = QPOptions(supervision=SupervisionOptions(**supervision))
     return QPController(task.cell, task.grasp, task.path, dt=task.dt, options=options)
 
 
 def pulled_apart(made: QPController, joint: int, by: float) -> None:
     """A fault that no command shows: the controller believes to have commanded another position of one joint."""
-    loop = made._loop
-    if made.kernel == "compiled":
-        loop.at["positions"][joint] += by  # type: ignore[union-attr]
-    else:
-        q = loop.state.q.copy()  # type: ignore[union-attr]
-        q[joint] += by
-        loop.state.q = q  # type: ignore[union-attr]
+    made._loop.at["positions"][joint] += by
 
 
 def lengths_at_grasps(cell: RobotCell, grasp: Grasp, q: Array) -> float:
@@ -54,67 +43,12 @@ def lengths_at_grasps(cell: RobotCell, grasp: Grasp, q: Array) -> float:
     return float(np.linalg.norm(points - points.mean(axis=0), axis=1).max()) * n / (n - 1)
 
 
-# -- the look ---------------------------------------------------------------------------------------------------------
-
-
-def look(errors: Any, mismatch: Any = None, *, started: bool = True, held: bool = False) -> Any:
-    return ChainWatch(paper_lift().grasp, 2e-4).look(
-        np.asarray(errors, dtype=float), mismatch, started=started, held=held
-    )
-
-
-def test_an_error_of_all_arms_parts_nothing(rng: np.random.Generator) -> None:
-    assert look(np.tile(rng.normal(size=6), (3, 1))).distance < 1e-14
-
-
-def test_the_distance_is_to_the_others() -> None:
-    errors = np.zeros((3, 6))
-    errors[1, 2] = 3e-4
-    found = look(errors)
-    assert found.distance == pytest.approx(3e-4)
-    assert (found.arms, found.holds) == ((0, 1), True)
-    errors[2, 2] = -3e-4
-    assert look(errors).arms == (1, 2)
-
-
-def test_a_turn_counts_at_the_grasps() -> None:
-    grasp = paper_lift().grasp
-    points = np.array([X.translation for X in grasp.T_object_tool])
-    reach = np.linalg.norm(points - points.mean(axis=0), axis=1).max()
-    errors = np.zeros((3, 6))
-    errors[0, 5] = 1e-3
-    errors[0, :3] = -np.cross([0.0, 0.0, 1e-3], points.mean(axis=0))  # about the grasps' centre
-    assert look(errors).distance == pytest.approx(1e-3 * reach, rel=1e-9)
-
-
-def test_the_mismatch_of_a_start_counts_no_more_than_it_still_shows(rng: np.random.Generator) -> None:
-    start = 1e-3 * rng.normal(size=(3, 6))
-    found = look(start, started=False)
-    assert found.distance < 1e-15
-    found = look(0.4 * start, found.mismatch)
-    assert found.distance < 1e-15
-    again = look(start, found.mismatch)  # it had been corrected to 0.4: the rest is new
-    assert again.distance == pytest.approx(0.6 * look(start).distance)
-    assert look(-start, found.mismatch).distance == pytest.approx(look(start).distance)
-
-
-def test_held_arms_go_on_below_half() -> None:
-    errors = np.zeros((3, 6))
-    errors[0, 0] = 1.5e-4
-    assert not look(errors).holds
-    assert look(errors, held=True).holds
-    assert not look(0.6 * errors, held=True).holds
-    errors[0, 0] = np.nan
-    assert look(errors).holds
-
-
 # -- in a run ---------------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("kernel", KERNELS)
-def test_arms_that_are_parted_hold_until_they_are_together_again(kernel: str) -> None:
+def test_arms_that_are_parted_hold_until_they_are_together_again() -> None:
     task = paper_lift()
-    made = controller(task, kernel)
+    made = controller(task)
     made.reset(task.q_start)
     first = [made.step() for _ in range(10)]
     assert max(step.commanded_apart for step in first) < 1e-7
@@ -137,10 +71,9 @@ def test_arms_that_are_parted_hold_until_they_are_together_again(kernel: str) ->
         assert step.commanded_apart == pytest.approx(lengths_at_grasps(task.cell, task.grasp, step.q), rel=0.3)
 
 
-@pytest.mark.parametrize("kernel", KERNELS)
-def test_a_small_distance_is_said_and_slows_nothing(kernel: str) -> None:
+def test_a_small_distance_is_said_and_slows_nothing() -> None:
     task = paper_lift()
-    made = controller(task, kernel)
+    made = controller(task)
     made.reset(task.q_start)
     before = made.step()
     pulled_apart(made, task.cell.v_slices[1].start + 1, 6e-5)
@@ -165,10 +98,9 @@ def test_a_larger_distance_or_none_may_be_chosen() -> None:
         SupervisionOptions(apart_from=0.0)
 
 
-@pytest.mark.parametrize("kernel", KERNELS)
-def test_a_start_off_the_grasp_and_shifted_grasps_are_no_fault(kernel: str) -> None:
+def test_a_start_off_the_grasp_and_shifted_grasps_are_no_fault() -> None:
     task = paper_lift()
-    made = controller(task, kernel)
+    made = controller(task)
     q = task.q_start.copy()
     q[task.cell.q_slices[1].start + 1] += 3e-3
     with warnings.catch_warnings():
@@ -184,12 +116,11 @@ def test_a_start_off_the_grasp_and_shifted_grasps_are_no_fault(kernel: str) -> N
     assert max(step.commanded_apart for step in seen) < 1e-5
 
 
-@pytest.mark.parametrize("kernel", slow_but_first(KERNELS))
 @pytest.mark.parametrize("seed", range(3))
-def test_grasps_that_shift_to_and_fro_are_no_fault(kernel: str, seed: int) -> None:
+def test_grasps_that_shift_to_and_fro_are_no_fault(seed: int) -> None:
     """As presses shift them: faster than the chain's errors are corrected, and back before they are; also in motion."""
     task, rng = paper_lift(time_law="quintic"), np.random.default_rng(seed)
-    made = controller(task, kernel)
+    made = controller(task)
     made.reset(task.q_start)
     ways, periods = rng.normal(size=(2, 3, 6)), rng.uniform(0.1, 0.3, size=2)
     monitor = Monitor(task.cell, task.grasp)

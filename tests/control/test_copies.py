@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 import pytest
-from marks import slow_but_first, slow_unless
+from marks import slow_unless
 from processes import output
 from runs import built, limited
 
@@ -28,11 +28,9 @@ from coopqp import (
     SupervisionOptions,
     WaypointPath,
 )
-from coopqp.native import available_kernels
 from coopqp.scenarios import Scenario, at_limit, at_singularity, dual_arm7, five_joint_pair, mixed_cell, paper_lift
 from coopqp.spatial import Array
 
-KERNELS = available_kernels()
 DT = 0.005
 WAYS: dict[str, Callable[[QPController], QPController]] = {
     "copy": copy.copy,
@@ -79,20 +77,20 @@ def zigzag(task: Scenario) -> WaypointPath:
     return WaypointPath([low, middle, high], durations=[0.5, 1.5], time_law="linear")
 
 
-RUNS: dict[str, Callable[[str], tuple[QPController, Feed | None]]] = {
-    "nominal": lambda k: (built(paper_lift(), k, dt=DT), None),
-    "looking ahead": lambda k: (built(limited(mixed_cell(), 5.0), k, dt=DT), None),
-    "corners": lambda k: (built(limited(paper_lift(), 5.0), k, dt=DT, path=zigzag(paper_lift())), None),
-    "slowed and blocked": lambda k: (built(at_limit(), k, dt=DT), None),
-    "past a singularity": lambda k: (built(at_singularity(miss=0.02), k, dt=DT), None),
-    "measured": lambda k: (built(mixed_cell(), k, dt=DT), noisy(mixed_cell())),
-    "always a QP": lambda k: (built(limited(dual_arm7(), 10.0), k, dt=DT, shortcut=False), noisy(dual_arm7())),
-    "held": lambda k: (built(paper_lift(), k, dt=DT), pushed(paper_lift(), far=2e-3)),
-    "in fault": lambda k: (built(paper_lift(), k, dt=DT), pushed(paper_lift())),
-    "forces": lambda k: (
-        built(paper_lift(), k, dt=DT, supervision=SupervisionOptions(stiffness=2e4)), pushed(paper_lift(), far=5e-3)
+RUNS: dict[str, Callable[[], tuple[QPController, Feed | None]]] = {
+    "nominal": lambda: (built(paper_lift(), dt=DT), None),
+    "looking ahead": lambda: (built(limited(mixed_cell(), 5.0), dt=DT), None),
+    "corners": lambda: (built(limited(paper_lift(), 5.0), dt=DT, path=zigzag(paper_lift())), None),
+    "slowed and blocked": lambda: (built(at_limit(), dt=DT), None),
+    "past a singularity": lambda: (built(at_singularity(miss=0.02), dt=DT), None),
+    "measured": lambda: (built(mixed_cell(), dt=DT), noisy(mixed_cell())),
+    "always a QP": lambda: (built(limited(dual_arm7(), 10.0), dt=DT, shortcut=False), noisy(dual_arm7())),
+    "held": lambda: (built(paper_lift(), dt=DT), pushed(paper_lift(), far=2e-3)),
+    "in fault": lambda: (built(paper_lift(), dt=DT), pushed(paper_lift())),
+    "forces": lambda: (
+        built(paper_lift(), dt=DT, supervision=SupervisionOptions(stiffness=2e4)), pushed(paper_lift(), far=5e-3)
     ),
-    "few joints": lambda k: (built(five_joint_pair(), "auto", dt=DT), None),
+    "few joints": lambda: (built(five_joint_pair(), dt=DT), None),
 }  # fmt: skip
 
 
@@ -105,10 +103,9 @@ def drive(controller: QPController, feed: Feed | None, begin: int, steps: int, t
 
 
 @pytest.mark.core
-@pytest.mark.parametrize("kernel", slow_unless(lambda kernel: kernel == KERNELS[0], KERNELS))
 @pytest.mark.parametrize("run", slow_unless(lambda run: run in ("looking ahead", "measured", "always a QP"), RUNS))
-def test_a_copy_goes_on_bit_for_bit(run: str, kernel: str) -> None:
-    controller, feed = RUNS[run](kernel)
+def test_a_copy_goes_on_bit_for_bit(run: str) -> None:
+    controller, feed = RUNS[run]()
     told: list[Array] = []
     ways = list(WAYS.values())
     for turn, begin in enumerate(range(0, 210, 14)):
@@ -121,11 +118,10 @@ def test_a_copy_goes_on_bit_for_bit(run: str, kernel: str) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("kernel", KERNELS)
 @pytest.mark.parametrize("run", RUNS)
-def test_a_copy_at_every_step_goes_on_bit_for_bit(run: str, kernel: str) -> None:
+def test_a_copy_at_every_step_goes_on_bit_for_bit(run: str) -> None:
     """The preview grows in pieces of a Newton step: every piece is a place to copy at."""
-    controller, feed = RUNS[run](kernel)
+    controller, feed = RUNS[run]()
     told: list[Array] = []
     for i in range(120):
         other = copy.copy(controller)
@@ -137,11 +133,10 @@ def test_a_copy_at_every_step_goes_on_bit_for_bit(run: str, kernel: str) -> None
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("kernel", KERNELS)
 @pytest.mark.parametrize("run", ["looking ahead", "corners", "past a singularity", "measured", "held"])
-def test_copying_leaves_the_original_alone(run: str, kernel: str) -> None:
-    watched, feed = RUNS[run](kernel)
-    alone, _ = RUNS[run](kernel)
+def test_copying_leaves_the_original_alone(run: str) -> None:
+    watched, feed = RUNS[run]()
+    alone, _ = RUNS[run]()
     told: list[Array] = []
     for i in range(150):
         a, b = drive(watched, feed, i, 1, told)[0], drive(alone, feed, i, 1, told)[0]
@@ -150,30 +145,28 @@ def test_copying_leaves_the_original_alone(run: str, kernel: str) -> None:
         copy.copy(watched)
 
 
-@pytest.mark.parametrize("kernel", slow_but_first(KERNELS))
-def test_a_copy_after_another_path_and_after_other_targets(kernel: str) -> None:
+def test_a_copy_after_another_path_and_after_other_targets() -> None:
     task = limited(mixed_cell(), 10.0)
-    controller = built(task, kernel, dt=DT)
+    controller = built(task, dt=DT)
     here = drive(controller, None, 0, 80, [])[-1]
     controller.follow(LinePath(task.path.pose(here.clock_next), task.path.pose(0.0), duration=1.0))
     other = copy.deepcopy(controller)
     assert all(map(same, drive(controller, None, 0, 60, []), drive(other, None, 0, 60, [])))
 
     start = task.path.pose(0.0)
-    servo = built(task, kernel, dt=DT, path=ServoPath(start))
+    servo = built(task, dt=DT, path=ServoPath(start))
     for target in (0.02, -0.03, 5.0):
         servo.retarget(pin.SE3(start.rotation, start.translation + target))
         other = pickle.loads(pickle.dumps(servo))
         assert all(map(same, drive(servo, None, 0, 25, []), drive(other, None, 0, 25, [])))
 
 
-@pytest.mark.parametrize("kernel", slow_but_first(KERNELS))
 @pytest.mark.parametrize("way", WAYS)
-def test_a_copy_shares_nothing_that_changes(way: str, kernel: str) -> None:
+def test_a_copy_shares_nothing_that_changes(way: str) -> None:
     """What the one does next, even a new target or a fault, does not reach the other."""
     task = limited(paper_lift(), 10.0)
     start = task.path.pose(0.0)
-    controller = built(task, kernel, dt=DT, path=ServoPath(start))
+    controller = built(task, dt=DT, path=ServoPath(start))
     controller.retarget(pin.SE3(start.rotation, start.translation + 0.05))
     drive(controller, None, 0, 20, [])
     kept = WAYS[way](controller)
@@ -203,11 +196,10 @@ class Swaying(ObjectPath):
         return np.concatenate([self._start.rotation.T @ np.array([0.0, 0.0, 0.02 * np.sin(clock)]), np.zeros(3)])
 
 
-@pytest.mark.parametrize("kernel", KERNELS)
-def test_a_deep_copy_has_its_own_path(kernel: str) -> None:
+def test_a_deep_copy_has_its_own_path() -> None:
     task = limited(paper_lift(), 10.0)
     path = Swaying(task.path.pose(0.0))
-    controller = built(task, kernel, dt=DT, path=path)
+    controller = built(task, dt=DT, path=path)
     drive(controller, None, 0, 30, [])
     shallow, deep = copy.copy(controller), copy.deepcopy(controller)
     assert shallow.path is path
@@ -218,11 +210,10 @@ def test_a_deep_copy_has_its_own_path(kernel: str) -> None:
     assert deep.step().status is not Status.HOLDING
 
 
-@pytest.mark.parametrize("kernel", KERNELS)
-def test_a_controller_whose_path_fails_can_be_copied(kernel: str) -> None:
+def test_a_controller_whose_path_fails_can_be_copied() -> None:
     task = limited(paper_lift(), 10.0)
     path = Swaying(task.path.pose(0.0))
-    controller = built(task, kernel, dt=DT, path=path)
+    controller = built(task, dt=DT, path=path)
     drive(controller, None, 0, 30, [])
     path.broken = True
     assert drive(controller, None, 0, 5, [])[-1].status is Status.HOLDING
@@ -232,10 +223,9 @@ def test_a_controller_whose_path_fails_can_be_copied(kernel: str) -> None:
     assert all(map(same, drive(controller, None, 0, 20, []), drive(other, None, 0, 20, [])))
 
 
-@pytest.mark.parametrize("kernel", KERNELS)
-def test_a_copy_before_the_first_reset_has_to_be_reset(kernel: str) -> None:
+def test_a_copy_before_the_first_reset_has_to_be_reset() -> None:
     task = paper_lift()
-    fresh = QPController(task.cell, task.grasp, task.path, dt=0.005, options=QPOptions(kernel=kernel))
+    fresh = QPController(task.cell, task.grasp, task.path, dt=0.005, options=QPOptions())
     other = pickle.loads(pickle.dumps(fresh))
     with pytest.raises(InvalidInputError, match="reset"):
         other.step()
@@ -247,7 +237,7 @@ def test_a_copy_before_the_first_reset_has_to_be_reset(kernel: str) -> None:
 @pytest.mark.parametrize("solver", ["daqp", "proxqp", "osqp"])
 def test_a_copy_with_another_solver_agrees_up_to_its_accuracy(solver: str) -> None:
     task = limited(paper_lift(), 5.0)
-    controller = built(task, "auto", dt=DT, shortcut=False, solver=solver)
+    controller = built(task, dt=DT, shortcut=False, solver=solver)
     drive(controller, None, 0, 40, [])
     other = copy.copy(controller)
     for a, b in zip(drive(controller, None, 0, 40, []), drive(other, None, 0, 40, []), strict=True):
@@ -277,22 +267,10 @@ def test_a_debugger_changes_no_step() -> None:
     assert not traced.q.flags.writeable
 
 
-def test_a_copy_for_another_kernel_is_refused() -> None:
-    if len(KERNELS) < 2:
-        pytest.skip("there is one kernel only")
-    task = paper_lift()
-    state = built(task, "compiled", dt=DT).__getstate__()
-    state["options"] = QPOptions(kernel="plain")
-    other = object.__new__(QPController)
-    with pytest.raises(InvalidInputError, match="ran the compiled kernel"):
-        other.__setstate__(state)
-
-
 @pytest.mark.slow
-@pytest.mark.parametrize("kernel", KERNELS)
 @pytest.mark.parametrize("run", ["looking ahead", "measured", "in fault"])
-def test_another_process_goes_on_with_the_same_bits(run: str, kernel: str, tmp_path: Path) -> None:
-    controller, feed = RUNS[run](kernel)
+def test_another_process_goes_on_with_the_same_bits(run: str, tmp_path: Path) -> None:
+    controller, feed = RUNS[run]()
     told = [s.q_next for s in drive(controller, feed, 0, 60, [])][-1:]
     (tmp_path / "controller").write_bytes(pickle.dumps((controller, told[0])))
     program = (

@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 
 from coopqp.control.core.force_memory import minding_scalars, minding_size, minding_views, squeezes
-from coopqp.native import _core, constants, layout
+from coopqp.native import _core, layout
 from coopqp.spatial import Array
 
 pytestmark = pytest.mark.core
@@ -223,7 +223,7 @@ def test_an_object_begins_the_slower_the_less_its_servos_are_as_told() -> None:
     full = 0.45
     for stiffer, palms, rate in (
         (1.0, 0.0, full), (4.0, 0.0, full / 2.0), (0.25, 0.0, full / 2.0), (4.0, 1.0, 1.0),
-        (constants.SOFTEST, 0.0, 1.0),
+        (0.05, 0.0, 1.0),
     ):  # fmt: skip
         memory = anyhow(
             np.random.default_rng(0), 2, stage=RELAXING, has_palms=palms, stiffer=stiffer, force_cap=1.0, since=0.02,

@@ -11,20 +11,17 @@ from golden import Golden
 
 from coopqp import Cause, ControlStep, HoldPath, LinePath, QPController, RobotCell, Status, SupervisionOptions
 from coopqp.model import CellState
-from coopqp.native import available_kernels
 from coopqp.scenarios import paper_lift
 from coopqp.spatial import Array
 
 FOUND = "seems to have stopped in its grip"
 
 
-def run(kernel: str, *, late: float, follows: float, at: float, until: float, told: bool = False) -> list[ControlStep]:
+def run(*, late: float, follows: float, at: float, until: float, told: bool = False) -> list[ControlStep]:
     """All arms are where their commands were ``late`` seconds ago, and go on at a share of their speed from ``at``."""
     task = paper_lift(time_law="quintic", duration=2.0)
     supervision = SupervisionOptions(stiffness=1e6 if told else None, force_limit=1e9)
-    made = QPController(
-        task.cell, task.grasp, task.path, dt=task.dt, options={"kernel": kernel, "supervision": supervision}
-    )
+    made = QPController(task.cell, task.grasp, task.path, dt=task.dt, options={"supervision": supervision})
     made.reset(task.q_start)
     past: list[Array] = [task.q_start]
     steps: list[ControlStep] = []
@@ -40,33 +37,31 @@ def run(kernel: str, *, late: float, follows: float, at: float, until: float, to
     return steps
 
 
-@pytest.mark.parametrize("kernel", available_kernels())
-def test_a_lag_is_no_stop_but_a_growing_one_is(kernel: str) -> None:
-    steps = run(kernel, late=0.02, follows=0.6, at=0.8, until=0.9)
+def test_a_lag_is_no_stop_but_a_growing_one_is() -> None:
+    steps = run(late=0.02, follows=0.6, at=0.8, until=0.9)
     dt = steps[0].dt
     found = [i for i, step in enumerate(steps) if FOUND in step.reason]
     assert found
     assert 0.8 <= found[0] * dt <= 0.9
     held = next(step for step in steps[found[0] :] if step.status is Status.HOLDING)
     assert held.cause is Cause.TRACKING
-    assert not any(FOUND in step.reason for step in run(kernel, late=0.02, follows=1.0, at=9.0, until=1.0))
+    assert not any(FOUND in step.reason for step in run(late=0.02, follows=1.0, at=9.0, until=1.0))
 
 
 @pytest.mark.core
 def test_a_stop_in_a_grip_as_recorded(golden: Golden) -> None:
     done = golden.of(None)
-    for step in run(golden.kernel, late=0.01, follows=0.5, at=0.7, until=0.85):
+    for step in run(late=0.01, follows=0.5, at=0.7, until=0.85):
         done.add(step)
 
 
 def test_told_servos_are_asked_instead() -> None:
-    steps = run(available_kernels()[0], late=0.02, follows=0.6, at=0.8, until=0.9, told=True)
+    steps = run(late=0.02, follows=0.6, at=0.8, until=0.9, told=True)
     assert not any(FOUND in step.reason for step in steps)
 
 
 @pytest.mark.core
-@pytest.mark.parametrize("kernel", available_kernels())
-def test_what_the_deviation_is_at_rest_is_averaged_over_a_tenth_of_a_second(kernel: str) -> None:
+def test_what_the_deviation_is_at_rest_is_averaged_over_a_tenth_of_a_second() -> None:
     """After 0.9 mm, 1.7 mm; 2.3 mm are a millimetre beyond what they have become in one step of 50 ms, not in two."""
     task = paper_lift()
     start, dt = task.path.pose(0.0), 0.05
@@ -76,7 +71,7 @@ def test_what_the_deviation_is_at_rest_is_averaged_over_a_tenth_of_a_second(kern
     way = [raised.step() for _ in range(20)]
     heights, q = [3e-3 * step.clock_next for step in way], np.array([step.q_next for step in way]).T
     watch = SupervisionOptions(noise_margin=0.0, filter_time=0.0, stall_samples=None)
-    options = {"kernel": kernel, "supervision": watch, "path_gain": 0.0, "grasp_gain": 0.0}
+    options = {"supervision": watch, "path_gain": 0.0, "grasp_gain": 0.0}
     for lasts, found in ((1, True), (2, False)):
         made = QPController(task.cell, task.grasp, HoldPath(start, duration=9.0), dt=dt, options=options)
         made.reset(task.q_start)

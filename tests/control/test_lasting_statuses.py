@@ -8,13 +8,10 @@ from itertools import pairwise
 import numpy as np
 import pinocchio as pin
 import pytest
-from marks import slow_but_first, slow_unless
+from marks import slow_unless
 
 from coopqp import ControlStep, LinePath, ObjectPath, QPController, QPOptions, ServoPath, Status
-from coopqp.native import available_kernels
 from coopqp.scenarios import Scenario, mixed_cell, ring
-
-KERNELS = available_kernels()
 
 
 class Unknown(ObjectPath):
@@ -68,11 +65,10 @@ def test_a_blocked_object_is_called_so_while_its_target_trembles(seed: int) -> N
             assert (step.clock_next - step.clock) / dt < 0.01
 
 
-@pytest.mark.parametrize("kernel", slow_unless(lambda kernel: kernel == KERNELS[0], KERNELS))
 @pytest.mark.parametrize("seed", slow_unless(lambda seed: seed == 1, range(1, 3)))
-def test_on_an_unknown_path_a_status_changes_less_than_twice_a_second(kernel: str, seed: int) -> None:
+def test_on_an_unknown_path_a_status_changes_less_than_twice_a_second(seed: int) -> None:
     task, dt = far(mixed_cell(), seed, 15.0), 0.008
-    controller = QPController(task.cell, task.grasp, Unknown(task.path), dt=dt, options=QPOptions(kernel=kernel))
+    controller = QPController(task.cell, task.grasp, Unknown(task.path), dt=dt, options=QPOptions())
     controller.reset(task.q_start)
     steps = [controller.step()]
     while not steps[-1].finished and len(steps) < 300:
@@ -85,13 +81,10 @@ def test_on_an_unknown_path_a_status_changes_less_than_twice_a_second(kernel: st
         assert step.status is not Status.TRACKING or step.rate == 1.0
 
 
-@pytest.mark.parametrize("kernel", slow_but_first(KERNELS))
-def test_an_object_that_was_blocked_is_slowed_as_soon_as_it_goes_on(kernel: str) -> None:
+def test_an_object_that_was_blocked_is_slowed_as_soon_as_it_goes_on() -> None:
     task = far(ring(arms=2), 1, np.inf)
     start, target = task.path.pose(0.0), task.path.pose(task.path.duration)
-    controller = QPController(
-        task.cell, task.grasp, ServoPath(start, speed=1.0), dt=0.01, options=QPOptions(kernel=kernel)
-    )
+    controller = QPController(task.cell, task.grasp, ServoPath(start, speed=1.0), dt=0.01, options=QPOptions())
     controller.reset(task.q_start)
     controller.retarget(target)
     steps = [controller.step() for _ in range(300)]

@@ -1,4 +1,4 @@
-"""An operator's calls: back, on, to a clock, to a mark, by hand, aside, after a belt; on both kernels."""
+"""An operator's calls: back, on, to a clock, to a mark, by hand, aside, after a belt."""
 
 from __future__ import annotations
 
@@ -25,19 +25,15 @@ from coopqp import (
     plan,
 )
 from coopqp.errors import UnknownNameError
-from coopqp.native import available_kernels
 from coopqp.scenarios import dual_arm7, mixed_cell, paper_lift
 from coopqp.simulation import Monitor, check_run, simulate
 
-KERNELS = available_kernels()
 DT = 0.005
 MOST = 4000
-both = pytest.mark.parametrize("kernel", slow_but_first(KERNELS))
-fast = pytest.mark.parametrize("kernel", KERNELS[:1])
 
 
-def lift(kernel: str, make: Any = paper_lift, **more: Any) -> QPController:
-    return built(limited_once(make, 5.0), kernel, dt=DT, **more)
+def lift(make: Any = paper_lift, **more: Any) -> QPController:
+    return built(limited_once(make, 5.0), dt=DT, **more)
 
 
 def steps(controller: QPController, count: int) -> list[ControlStep]:
@@ -60,9 +56,9 @@ def to_the_end(controller: QPController) -> list[ControlStep]:
     return done
 
 
-def off_path(kernel: str) -> tuple[QPController, list[ControlStep]]:
+def off_path() -> tuple[QPController, list[ControlStep]]:
     """A lift whose first arm was seen elsewhere: the object is off its path."""
-    controller = lift(kernel)
+    controller = lift()
     far = controller.commanded.copy()
     far[controller.cell.q_slices[0]] += 0.1
     return controller, [controller.step(far)]
@@ -76,10 +72,9 @@ def kept(controller: QPController, done: list[ControlStep], *, moving: bool = Fa
 
 
 @pytest.mark.core
-@both
 @pytest.mark.parametrize(("make", "nearly"), [(paper_lift, 1e-9), (dual_arm7, 1e-4)])
-def test_back_through_the_same_configurations(make: Any, nearly: float, kernel: str) -> None:
-    controller = lift(kernel, make)
+def test_back_through_the_same_configurations(make: Any, nearly: float) -> None:
+    controller = lift(make)
     start = controller.commanded.copy()
     there = steps(controller, 250)
     controller.reverse()
@@ -97,9 +92,8 @@ def test_back_through_the_same_configurations(make: Any, nearly: float, kernel: 
     kept(controller, there + back)
 
 
-@fast
-def test_on_again_as_if_it_had_never_gone_back(kernel: str) -> None:
-    alone, led = lift(kernel), lift(kernel)
+def test_on_again_as_if_it_had_never_gone_back() -> None:
+    alone, led = lift(), lift()
     expected = to_the_end(alone)[-1]
     done = steps(led, 200)
     led.reverse(0.2)
@@ -111,9 +105,8 @@ def test_on_again_as_if_it_had_never_gone_back(kernel: str) -> None:
     kept(led, done)
 
 
-@fast
-def test_a_reversal_that_turns_on_the_way(kernel: str) -> None:
-    controller = lift(kernel)
+def test_a_reversal_that_turns_on_the_way() -> None:
+    controller = lift()
     done = steps(controller, 200)
     controller.reverse()
     done += steps(controller, 120)
@@ -125,9 +118,8 @@ def test_a_reversal_that_turns_on_the_way(kernel: str) -> None:
     kept(controller, done)
 
 
-@both
-def test_to_a_clock_in_motion_and_on_with_resume(kernel: str) -> None:
-    controller = lift(kernel)
+def test_to_a_clock_in_motion_and_on_with_resume() -> None:
+    controller = lift()
     done = steps(controller, 100)
     controller.run_to(1.0)
     done += steps(controller, 1)
@@ -140,10 +132,9 @@ def test_to_a_clock_in_motion_and_on_with_resume(kernel: str) -> None:
     kept(controller, done)
 
 
-@both
-def test_the_rate_of_a_step_that_a_section_ends_early(kernel: str) -> None:
+def test_the_rate_of_a_step_that_a_section_ends_early() -> None:
     """An arm was seen elsewhere, so the object is off its path: its last step would lead beyond where it is to rest."""
-    controller, done = off_path(kernel)
+    controller, done = off_path()
     controller.run_to(0.5 * controller.path.duration)
     done += until(controller, Status.PAUSED)
     controller.reverse()
@@ -152,10 +143,9 @@ def test_the_rate_of_a_step_that_a_section_ends_early(kernel: str) -> None:
     assert max(abs(s.clock_next - s.clock - s.sense * s.rate * s.dt) for s in done) < 1e-12
 
 
-@both
-def test_the_rate_of_the_first_step_back_that_is_the_last(kernel: str) -> None:
+def test_the_rate_of_the_first_step_back_that_is_the_last() -> None:
     """The object is off its path and the start of the way back is its end."""
-    controller, done = off_path(kernel)
+    controller, done = off_path()
     for i in range(18):
         controller.gear(controller.program_clock + 0.005 * i)
         done += steps(controller, 1)
@@ -166,9 +156,8 @@ def test_the_rate_of_the_first_step_back_that_is_the_last(kernel: str) -> None:
     assert max(abs(s.clock_next - s.clock - s.sense * s.rate * s.dt) for s in done) < 1e-12
 
 
-@fast
-def test_a_clock_too_near_to_stop_at_is_passed_and_come_back_to(kernel: str) -> None:
-    controller = lift(kernel)
+def test_a_clock_too_near_to_stop_at_is_passed_and_come_back_to() -> None:
+    controller = lift()
     done = steps(controller, 200)
     controller.run_to(done[-1].clock_next + 0.002)
     goal = done[-1].clock_next + 0.002
@@ -178,13 +167,12 @@ def test_a_clock_too_near_to_stop_at_is_passed_and_come_back_to(kernel: str) -> 
     kept(controller, done)
 
 
-@fast
-def test_from_mark_to_mark(kernel: str) -> None:
+def test_from_mark_to_mark() -> None:
     task = limited_once(paper_lift, 5.0)
     low, high = task.path.pose(0.0), task.path.pose(task.path.duration)
     middle = pin.SE3(low.rotation, low.translation + np.array([0.03, -0.02, 0.05]))
     path = WaypointPath([low, middle, high], durations=[0.5, 1.0], time_law="linear")
-    controller = built(task, kernel, dt=DT, path=path)
+    controller = built(task, dt=DT, path=path)
     done: list[ControlStep] = []
     for mark in (0.5, 1.5):
         controller.step_to_mark()
@@ -197,10 +185,9 @@ def test_from_mark_to_mark(kernel: str) -> None:
 
 
 @pytest.mark.core
-@both
 @pytest.mark.parametrize("frame", slow_but_first(["world", "object", "B"]))
-def test_by_hand_and_back(frame: str, kernel: str) -> None:
-    controller = lift(kernel, mixed_cell)
+def test_by_hand_and_back(frame: str) -> None:
+    controller = lift(mixed_cell)
     frame = controller.cell.arm_names[1] if frame == "B" else frame
     done = steps(controller, 150)
     for i in range(200):
@@ -230,10 +217,9 @@ def until_rest(controller: QPController) -> list[ControlStep]:
     return done
 
 
-@fast
-def test_axes_of_a_jog(kernel: str) -> None:
+def test_axes_of_a_jog() -> None:
     """The object moves as the twist says, in the axes of the frame."""
-    controller = lift(kernel)
+    controller = lift()
     controller.pause()
     until(controller, Status.PAUSED)
     T = controller.path.pose(controller.program_clock)
@@ -251,9 +237,8 @@ def test_axes_of_a_jog(kernel: str) -> None:
         np.testing.assert_allclose(way / np.linalg.norm(way), R[:, 1], atol=1e-5)
 
 
-@fast
-def test_a_jog_stops_at_a_limit_by_name_and_leads_away_again(kernel: str) -> None:
-    controller = lift(kernel)
+def test_a_jog_stops_at_a_limit_by_name_and_leads_away_again() -> None:
+    controller = lift()
     done: list[ControlStep] = []
 
     def lead(x: float, count: int) -> ControlStep:
@@ -272,9 +257,8 @@ def test_a_jog_stops_at_a_limit_by_name_and_leads_away_again(kernel: str) -> Non
     kept(controller, done)
 
 
-@fast
-def test_the_program_moves_aside(kernel: str) -> None:
-    controller = lift(kernel)
+def test_the_program_moves_aside() -> None:
+    controller = lift()
     before = controller.path
     shift = pin.SE3(pin.exp3(np.array([0.0, 0.0, 0.03])), np.array([0.01, 0.0, 0.0]))
     done = steps(controller, 150)
@@ -289,9 +273,8 @@ def test_the_program_moves_aside(kernel: str) -> None:
     kept(controller, done)
 
 
-@fast
-def test_a_belt_sets_the_pace(kernel: str) -> None:
-    controller = lift(kernel)
+def test_a_belt_sets_the_pace() -> None:
+    controller = lift()
     done: list[ControlStep] = []
     lags = []
     for i in range(400):
@@ -307,9 +290,8 @@ def test_a_belt_sets_the_pace(kernel: str) -> None:
     kept(controller, done)
 
 
-@fast
-def test_a_hand_leads_without_a_leap(kernel: str) -> None:
-    controller = lift(kernel, dual_arm7)
+def test_a_hand_leads_without_a_leap() -> None:
+    controller = lift(dual_arm7)
     done = steps(controller, 100)
     hand = pin.SE3.Random()
     controller.engage(hand)
@@ -333,7 +315,7 @@ def test_a_hand_leads_without_a_leap(kernel: str) -> None:
 
 
 def test_bad_values_change_nothing() -> None:
-    controller = lift("auto")
+    controller = lift()
     steps(controller, 100)
     other = copy.copy(controller)
     calls: list[Any] = [
@@ -372,12 +354,11 @@ def test_before_the_first_reset_and_without_an_end() -> None:
             call()
 
 
-@fast
-def test_targets_by_hand_and_programs_of_targets(kernel: str) -> None:
+def test_targets_by_hand_and_programs_of_targets() -> None:
     """A servo path can be left by hand, too; a target that comes meanwhile waits for the way back."""
     task = limited_once(paper_lift, 5.0)
     start = task.path.pose(0.0)
-    controller = built(task, kernel, dt=DT, path=ServoPath(start))
+    controller = built(task, dt=DT, path=ServoPath(start))
     done: list[ControlStep] = []
     for _ in range(20):
         controller.jog([0.0, 0.0, 0.05, 0.0, 0.0, 0.0])
@@ -393,10 +374,9 @@ def test_targets_by_hand_and_programs_of_targets(kernel: str) -> None:
 
 
 @pytest.mark.core
-@fast
 @pytest.mark.parametrize("call", ["reverse", "jog", "return_to_path", "engage", "shift_path"])
-def test_a_fault_keeps_a_call_and_a_reset_discards_it(call: str, kernel: str) -> None:
-    controller = lift(kernel)
+def test_a_fault_keeps_a_call_and_a_reset_discards_it(call: str) -> None:
+    controller = lift()
     steps(controller, 100)
     for _ in range(4):
         far = controller.commanded.copy()
@@ -417,11 +397,10 @@ def test_a_fault_keeps_a_call_and_a_reset_discards_it(call: str, kernel: str) ->
     assert {step.sense for step in to_the_end(controller)} == {1}
 
 
-@fast
 @pytest.mark.parametrize("way", slow_but_first([lambda c: pickle.loads(pickle.dumps(c)), copy.deepcopy, copy.copy]))
-def test_copies_in_the_middle(way: Any, kernel: str) -> None:
+def test_copies_in_the_middle(way: Any) -> None:
     """A copy at any moment of back, hand and shift goes on bit for bit, and shares nothing that changes."""
-    controller = lift(kernel, dual_arm7)
+    controller = lift(dual_arm7)
     calls: dict[int, Any] = {
         80: lambda c: c.reverse(0.1), 150: lambda c: c.forward(), 230: lambda c: c.jog([0.1, 0.0, 0.0, 0.0, 0.0, 0.2]),
         260: lambda c: c.jog([0.0, 0.1, 0.0, 0.0, 0.0, 0.0]), 330: lambda c: c.return_to_path(),
@@ -442,7 +421,7 @@ def test_copies_in_the_middle(way: Any, kernel: str) -> None:
 
 
 def test_a_long_run_keeps_few_knots() -> None:
-    controller = lift("auto", dual_arm7)
+    controller = lift(dual_arm7)
     trail = controller._operator.trail
     assert trail is not None
     q, rng = controller.commanded, np.random.default_rng(0)
@@ -453,7 +432,7 @@ def test_a_long_run_keeps_few_knots() -> None:
 
 
 def test_the_trail_rises_and_a_copy_has_all_of_it(golden: Golden) -> None:
-    done = golden.of(lift(golden.kernel, dual_arm7))
+    done = golden.of(lift(dual_arm7))
     done.run(150)
     done.ask(lambda controller: controller.reverse(0.2))
     while done.take().status is not Status.PAUSED:
@@ -467,9 +446,8 @@ def test_the_trail_rises_and_a_copy_has_all_of_it(golden: Golden) -> None:
     assert (np.diff(clocks) > 0.0).all()
 
 
-@fast
-def test_a_command_that_repeats_the_last_one_takes_no_new_way(kernel: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    controller = lift(kernel)
+def test_a_command_that_repeats_the_last_one_takes_no_new_way(monkeypatch: pytest.MonkeyPatch) -> None:
+    controller = lift()
     done = steps(controller, 100)
     operator, ways = controller._operator, []
     go_over = operator.go_over
@@ -517,18 +495,17 @@ def test_a_recording_of_back_and_hand_is_in_order() -> None:
 def test_a_plan_and_its_way_back_as_recorded(golden: Golden) -> None:
     task = limited_once(dual_arm7, 5.0)
     path = plan(task.cell, task.grasp, task.path, q_start=task.q_start).path
-    done = golden.of(built(task, golden.kernel, dt=DT, path=path)).run(100)
+    done = golden.of(built(task, dt=DT, path=path)).run(100)
     done.ask(lambda controller: controller.reverse())
     while done.take().status is not Status.PAUSED:
         pass
     kept(done.controller, done.steps)
 
 
-@both
-def test_a_way_that_begins_at_rest_in_mid_path_begins_slowly(kernel: str) -> None:
+def test_a_way_that_begins_at_rest_in_mid_path_begins_slowly() -> None:
     """The program itself moves there: from 0 the rate rises by what the joints' accelerations allow."""
     task = limited_once(lambda: paper_lift(time_law="linear"), 5.0)
-    controller = built(task, kernel, dt=DT)
+    controller = built(task, dt=DT)
     steps(controller, 60)
     controller.pause()
     until_rest(controller)
@@ -547,14 +524,13 @@ def test_a_way_that_begins_at_rest_in_mid_path_begins_slowly(kernel: str) -> Non
         until_rest(controller)
 
 
-@fast
-def test_a_reset_in_mid_path_begins_the_trail_anew(kernel: str) -> None:
+def test_a_reset_in_mid_path_begins_the_trail_anew() -> None:
     """The way back is the one travelled since then."""
     task = limited_once(dual_arm7, 5.0)
-    controller = built(task, kernel, dt=DT)
+    controller = built(task, dt=DT)
     steps(controller, 25)
     q, clock = controller.commanded.copy(), controller.program_clock
-    other = built(task, kernel, dt=DT)
+    other = built(task, dt=DT)
     other.reset(q, clock=clock)
     controller.reset(q, clock=clock)
     ways = []

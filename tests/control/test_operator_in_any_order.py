@@ -14,7 +14,6 @@ from hypothesis.stateful import RuleBasedStateMachine, initialize, rule, run_sta
 from runs import limited_once
 
 from coopqp import ControlStep, InvalidInputError, QPController, QPOptions, Status
-from coopqp.native import available_kernels
 from coopqp.scenarios import dual_arm7, mixed_cell, paper_lift
 from coopqp.simulation import Monitor, Tolerances
 
@@ -28,13 +27,12 @@ shares = st.floats(0.0, 1.0)
 class AnyCall(RuleBasedStateMachine):
     """One controller, and the monitor of all its commands."""
 
-    kernel: ClassVar[str] = "auto"
     seen: ClassVar[set[Status]] = set()
 
     @initialize(make=st.sampled_from([paper_lift, dual_arm7, mixed_cell]))
     def build(self, make: Any) -> None:
         task = limited_once(make, 5.0)
-        options = QPOptions(kernel=self.kernel)
+        options = QPOptions()
         self.controller = QPController(task.cell, task.grasp, task.path, dt=0.005, options=options)
         self.controller.reset(task.q_start)
         wide = Tolerances(chain_mm=CHAIN_MM, object_mm=ANYWHERE, object_deg=ANYWHERE)
@@ -189,11 +187,10 @@ class AnyCall(RuleBasedStateMachine):
 
 @pytest.mark.slow
 @pytest.mark.filterwarnings("ignore::coopqp.errors.StartWarning")
-@pytest.mark.parametrize(("kernel", "machines"), [("compiled", 16), ("plain", 1)][-len(available_kernels()) :])
-def test_all_calls_in_any_order(kernel: str, machines: int) -> None:
-    scale = settings().max_examples / 200  # 1 in CI, 10 every night
-    machine = type("Machine", (AnyCall,), {"seen": set(), "kernel": kernel})
-    run_state_machine_as_test(machine, settings=settings(max_examples=int(machines * scale), stateful_step_count=12))
+def test_all_calls_in_any_order() -> None:
+    scale = 16 * settings().max_examples / 200  # 1 in CI, 10 every night
+    machine = type("Machine", (AnyCall,), {"seen": set()})
+    run_state_machine_as_test(machine, settings=settings(max_examples=int(scale), stateful_step_count=12))
     assert len(machine.seen) >= 2
-    if machines * scale > 100:  # every night; a few random machines may miss one
+    if scale > 100:  # every night; a few random machines may miss one
         assert machine.seen >= {Status.TRACKING, Status.SLOWED, Status.PAUSED, Status.JOGGING}

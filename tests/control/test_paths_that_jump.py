@@ -12,7 +12,6 @@ from golden import Golden
 from marks import slow_but_first
 
 from coopqp import ObjectPath, QPController, QPOptions, Status
-from coopqp.native import available_kernels
 from coopqp.scenarios import paper_lift
 from coopqp.spatial import Array
 
@@ -53,11 +52,11 @@ class Told(ObjectPath):
         return np.asarray(pin.log6(self._pose(before).actInv(self._pose(after))).vector) / (after - before)
 
 
-def controller_on(kind: str, kernel: str, acceleration: float) -> tuple[QPController, Told]:
+def controller_on(kind: str, acceleration: float) -> tuple[QPController, Told]:
     task = paper_lift()
     path = Told(task.path.pose(0.0), kind)
     cell = task.cell.with_limits(acceleration=acceleration)
-    controller = QPController(cell, task.grasp, path, dt=0.002, options=QPOptions(kernel=kernel))
+    controller = QPController(cell, task.grasp, path, dt=0.002, options=QPOptions())
     controller.reset(task.q_start)
     return controller, path
 
@@ -65,7 +64,7 @@ def controller_on(kind: str, kernel: str, acceleration: float) -> tuple[QPContro
 @pytest.mark.parametrize("acceleration", slow_but_first([8.0, np.inf]))
 @pytest.mark.parametrize("kind", ["stairs", "ramps and stairs", "root", "kinks"])
 def test_a_step_asks_a_path_a_few_times_and_says_what_stops_it(kind: str, acceleration: float) -> None:
-    controller, path = controller_on(kind, available_kernels()[0], acceleration)
+    controller, path = controller_on(kind, acceleration)
     unnamed = 0
     for _ in range(700):
         path.calls = 0
@@ -81,10 +80,9 @@ def test_a_step_asks_a_path_a_few_times_and_says_what_stops_it(kind: str, accele
         assert 0.49 < step.clock < 0.5
 
 
-@pytest.mark.parametrize("kernel", available_kernels())
-def test_a_path_that_starts_like_a_root_is_too_steep_and_jumps_not(kernel: str) -> None:
+def test_a_path_that_starts_like_a_root_is_too_steep_and_jumps_not() -> None:
     for acceleration in (np.inf, 8.0):
-        controller, path = controller_on("root", kernel, acceleration)
+        controller, path = controller_on("root", acceleration)
         for _ in range(60):
             path.calls = 0
             step = controller.step()
@@ -97,12 +95,11 @@ def test_a_path_that_starts_like_a_root_is_too_steep_and_jumps_not(kernel: str) 
 @pytest.mark.parametrize("kind", ["ramps and stairs", "root", pytest.param("kinks", marks=pytest.mark.slow)])
 @pytest.mark.parametrize("acceleration", slow_but_first([8.0, np.inf]))
 def test_paths_that_jump_and_bend_as_recorded(kind: str, acceleration: float, golden: Golden) -> None:
-    golden.of(controller_on(kind, golden.kernel, acceleration)[0], 1e-8).run(330)
+    golden.of(controller_on(kind, acceleration)[0], 1e-8).run(330)
 
 
-@pytest.mark.parametrize("kernel", available_kernels())
-def test_a_path_that_fails_and_answers_again_is_looked_at_a_little_at_a_time(kernel: str) -> None:
-    controller, path = controller_on("ramps and stairs", kernel, 8.0)
+def test_a_path_that_fails_and_answers_again_is_looked_at_a_little_at_a_time() -> None:
+    controller, path = controller_on("ramps and stairs", 8.0)
     share: Any = path._share
     for i in range(160):
         path._share = (lambda clock: math.nan) if 50 <= i < 60 else share  # type: ignore[method-assign]

@@ -1,4 +1,4 @@
-"""The reins: override, pause and resume at any step, on the path, within the limits, in both kernels."""
+"""The reins: override, pause and resume at any step, on the path, within the limits."""
 
 from __future__ import annotations
 
@@ -12,7 +12,6 @@ import numpy as np
 import pinocchio as pin
 import pytest
 from golden import Golden
-from marks import slow_but_first
 from runs import built, drive, fast_lift, hurried, limited
 
 from coopqp import (
@@ -27,11 +26,9 @@ from coopqp import (
     Status,
     WaypointPath,
 )
-from coopqp.native import available_kernels
 from coopqp.scenarios import Scenario, dual_arm7, mixed_cell, paper_lift, ring
 from coopqp.simulation.evaluation import metrics
 
-KERNELS = available_kernels()
 DT = 0.002
 #: Largest error of chain and path, from the commanded configuration [m].
 EXACT = 0.5e-6
@@ -79,11 +76,10 @@ CELLS: dict[str, Callable[[], Scenario]] = {
 
 
 @pytest.mark.core
-@pytest.mark.parametrize("kernel", slow_but_first(KERNELS))
 @pytest.mark.parametrize("name", CELLS)
-def test_a_random_override_keeps_chain_path_and_limits(name: str, kernel: str) -> None:
+def test_a_random_override_keeps_chain_path_and_limits(name: str) -> None:
     task = limited(CELLS[name](), 5.0)
-    steps = drive(built(task, kernel, dt=DT), 400, before=random_hand(0))
+    steps = drive(built(task, dt=DT), 400, before=random_hand(0))
     chain, path = errors_of(task, steps)
     assert chain < EXACT
     assert path < EXACT
@@ -124,17 +120,15 @@ def test_corners_are_passed_under_any_override() -> None:
 def test_a_stop_takes_hardly_longer_than_the_hardest_one() -> None:
     """The hardest stop brakes one joint with all it has, all the way along the path."""
     for when in (45, 120, 250):
-        task, hardest = limited(fast_lift(), 5.0), 0.0
-        for kernel in KERNELS:
-            controller = built(task, kernel, dt=DT)
-            for _ in range(when):
-                step = controller.step()
-            hardest = hardest or braking_time(task, step)  # both kernels are in the same state
-            controller.pause()
-            count = 0
-            while step.status is not Status.PAUSED:
-                step, count = controller.step(), count + 1
-            assert 2e-3 * (count - 1) <= 1.1 * hardest, kernel
+        task = limited(fast_lift(), 5.0)
+        controller = built(task, dt=DT)
+        for _ in range(when):
+            step = controller.step()
+        hardest, count = braking_time(task, step), 0
+        controller.pause()
+        while step.status is not Status.PAUSED:
+            step, count = controller.step(), count + 1
+        assert 2e-3 * (count - 1) <= 1.1 * hardest
 
 
 def braking_time(task: Scenario, step: ControlStep) -> float:
@@ -166,7 +160,7 @@ def braking_time(task: Scenario, step: ControlStep) -> float:
 def test_any_override_as_recorded(name: str, acceleration: float, golden: Golden) -> None:
     task = limited(CELLS[name](), acceleration)
     for options in ({}, {"preview": None}):
-        done, hand = golden.of(built(task, golden.kernel, dt=0.005, **options), 1e-8), random_hand(3)
+        done, hand = golden.of(built(task, dt=0.005, **options), 1e-8), random_hand(3)
         for i in range(150):
             if i % 10 == 0 or i % 120 in (60, 100):
                 hand(done.controller, i)
@@ -174,11 +168,10 @@ def test_any_override_as_recorded(name: str, acceleration: float, golden: Golden
 
 
 @pytest.mark.core
-@pytest.mark.parametrize("kernel", slow_but_first(KERNELS))
 @pytest.mark.parametrize("way", [copy.copy, copy.deepcopy, lambda c: pickle.loads(pickle.dumps(c))])
-def test_a_copy_keeps_the_reins(way: Callable[[QPController], QPController], kernel: str) -> None:
+def test_a_copy_keeps_the_reins(way: Callable[[QPController], QPController]) -> None:
     task = limited(dual_arm7(), 5.0)
-    controller = built(task, kernel, dt=DT)
+    controller = built(task, dt=DT)
     controller.set_override(0.6)
     drive(controller, 60)
     controller.pause()
@@ -193,11 +186,10 @@ def test_a_copy_keeps_the_reins(way: Callable[[QPController], QPController], ker
         assert (a.rate, a.status) == (b.rate, b.status)
 
 
-@pytest.mark.parametrize("kernel", KERNELS)
-def test_the_reins_hold_before_and_after_a_reset_and_a_new_path(kernel: str) -> None:
+def test_the_reins_hold_before_and_after_a_reset_and_a_new_path() -> None:
     for acceleration in (np.inf, 5.0):
         task = limited(paper_lift(), acceleration)
-        controller = QPController(task.cell, task.grasp, task.path, dt=0.002, options=QPOptions(kernel=kernel))
+        controller = QPController(task.cell, task.grasp, task.path, dt=0.002, options=QPOptions())
         controller.pause()
         controller.set_override(0.5)
         for bad in (np.nan, -0.1, 1.5, "x"):
@@ -254,15 +246,14 @@ def test_a_servo_target_can_be_paused() -> None:
         assert steps[-1].clock > stopped
 
 
-@pytest.mark.parametrize("kernel", slow_but_first(KERNELS))
 @pytest.mark.parametrize("acceleration", [np.inf, 5.0])
 @pytest.mark.parametrize("make", [paper_lift, dual_arm7])
-def test_a_target_is_reached_without_a_jump(make: Callable[[], Scenario], acceleration: float, kernel: str) -> None:
+def test_a_target_is_reached_without_a_jump(make: Callable[[], Scenario], acceleration: float) -> None:
     """From rest to rest: no joint changes its speed by more than an eighth of it in a step, or than its limit."""
     task = limited(make(), acceleration)
     start = task.path.pose(0.0)
     task = dataclasses.replace(task, path=ServoPath(start))
-    controller = built(task, kernel, dt=DT)
+    controller = built(task, dt=DT)
     goal = start * pin.exp6(pin.Motion(np.array([0.02, 0.03, 0.04, 0.0, 0.0, 0.1])))
     controller.retarget(goal)
     steps = drive(controller, 400)
@@ -284,8 +275,7 @@ def test_a_bad_share_is_a_named_error_and_changes_nothing(bad: Any) -> None:
 
 
 @pytest.mark.core
-@pytest.mark.parametrize("kernel", slow_but_first(available_kernels()))
-def test_an_object_that_still_moves_is_not_said_to_be_paused(kernel: str) -> None:
+def test_an_object_that_still_moves_is_not_said_to_be_paused() -> None:
     """Another path is followed right after a pause in motion: the clock stands, and the object brakes off the path."""
     task = paper_lift(duration=1.0, time_law="quintic")
     cell = task.cell.with_limits(acceleration=5.0)
@@ -297,7 +287,7 @@ def test_an_object_that_still_moves_is_not_said_to_be_paused(kernel: str) -> Non
         return (arm.T_world_base * data.oMf[frame] * task.grasp.T_object_tool[0].inverse()).translation
 
     for steps_between in (0, 3):
-        controller = QPController(cell, task.grasp, task.path, dt=0.002, options={"kernel": kernel})
+        controller = QPController(cell, task.grasp, task.path, dt=0.002, options={})
         controller.reset(task.q_start)
         for _ in range(250):
             step = controller.step()

@@ -10,7 +10,6 @@ import pytest
 
 from coopqp import ForceController, InvalidInputError, QPController, simulate
 from coopqp.errors import StiffnessWarning
-from coopqp.native import available_kernels
 from coopqp.scenarios import paper_lift, scara_pair, torso_lift
 from coopqp.simulation import Disturbances, DisturbedPlant
 
@@ -60,10 +59,9 @@ def test_a_simulated_start_is_a_mean() -> None:
     assert np.abs(run.q_command[0] - task.q_start).max() < 0.3e-4  # one reading: up to 1e-4
 
 
-@pytest.mark.parametrize("kernel", available_kernels())
-def test_only_arms_that_are_measured_are_asked_for_their_stiffness(kernel: str) -> None:
+def test_only_arms_that_are_measured_are_asked_for_their_stiffness() -> None:
     task = paper_lift()
-    q, options = task.q_start, {"kernel": kernel}
+    q, options = task.q_start, {}
     made = QPController(task.cell, task.grasp, task.path, dt=task.dt, options=options)
     told = {**options, "supervision": {"stiffness": 1e5}}
     watched = QPController(task.cell, task.grasp, task.path, dt=task.dt, options=told)

@@ -11,12 +11,10 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 import pytest
-from marks import slow_but_first
 
 from coopqp import CoopqpError, ForceController, InvalidInputError, LinePath, ObjectPath, QPController, ServoPath
 from coopqp.baselines import IndependentQPController, PseudoInverseController
 from coopqp.errors import BusyError
-from coopqp.native import available_kernels
 from coopqp.scenarios import Scenario
 from coopqp.solvers import make_solver
 
@@ -27,14 +25,8 @@ def minding_forces(*arguments: Any, dt: float, options: dict[str, Any]) -> Force
 
 
 CONTROLLERS: dict[str, tuple[Callable[..., Any], dict[str, Any]]] = {
-    **{f"qp, {kernel}": (QPController, {"kernel": kernel}) for kernel in available_kernels()},
-    **{
-        f"qp, {kernel}, a QP of DAQP at every step": (
-            QPController,
-            {"kernel": kernel, "shortcut": False, "solver": "daqp"},
-        )
-        for kernel in available_kernels()
-    },
+    "qp": (QPController, {}),
+    "qp, a QP of DAQP at every step": (QPController, {"shortcut": False, "solver": "daqp"}),
     "pseudo-inverse": (PseudoInverseController, {"increment": "exact"}),
     "independent": (IndependentQPController, {}),
     "forces": (minding_forces, {}),
@@ -99,16 +91,13 @@ def test_the_second_thread_is_refused_before_anything_is_touched(name: str, pape
     assert {type(error) for error in errors} == {BusyError}
 
 
-@pytest.mark.parametrize("kernel", slow_but_first(available_kernels()))
 @pytest.mark.parametrize("own", [True, False])
-def test_what_an_operator_asks_for_from_another_thread_waits_for_the_next_step(
-    kernel: str, own: bool, paper: Scenario
-) -> None:
+def test_what_an_operator_asks_for_from_another_thread_waits_for_the_next_step(own: bool, paper: Scenario) -> None:
     """The steps are those of a controller that its own thread asks between two steps."""
 
     def run(ask: Callable[[QPController], None], *, elsewhere: bool) -> list[Any]:
         path: Any = Meeting(paper.path) if own else paper.path
-        made = QPController(paper.cell, paper.grasp, path, dt=0.0075, options={"kernel": kernel})
+        made = QPController(paper.cell, paper.grasp, path, dt=0.0075, options={})
         made.reset(paper.q_start)
         steps = []
         for i in range(40):
@@ -150,10 +139,9 @@ def elsewhere(call: Callable[[], object]) -> None:
     other.join(timeout=30)
 
 
-@pytest.mark.parametrize("kernel", slow_but_first(available_kernels()))
-def test_a_step_takes_the_calls_that_wait_when_it_begins(kernel: str, paper: Scenario) -> None:
+def test_a_step_takes_the_calls_that_wait_when_it_begins(paper: Scenario) -> None:
     """A call that comes while they are made waits for the next step: a caller without a break holds no step."""
-    made = QPController(paper.cell, paper.grasp, paper.path, dt=0.0075, options={"kernel": kernel})
+    made = QPController(paper.cell, paper.grasp, paper.path, dt=0.0075, options={})
     made.reset(paper.q_start)
     made.step()
     counted = []
@@ -222,14 +210,11 @@ TOO_LATE: dict[str, tuple[Callable[[Any], object], Callable[[Any], object]]] = {
 }
 
 
-@pytest.mark.parametrize("kernel", slow_but_first(available_kernels()))
 @pytest.mark.parametrize("said", TOO_LATE)
 @pytest.mark.parametrize("forces", [False, True])
-def test_what_cannot_be_done_where_a_call_takes_effect_is_an_event(
-    kernel: str, said: str, forces: bool, paper: Scenario
-) -> None:
+def test_what_cannot_be_done_where_a_call_takes_effect_is_an_event(said: str, forces: bool, paper: Scenario) -> None:
     cell = paper.cell.with_limits(acceleration=5.0)
-    inner = QPController(cell, paper.grasp, paper.path, dt=0.0075, options={"kernel": kernel})
+    inner = QPController(cell, paper.grasp, paper.path, dt=0.0075, options={})
     made: Any = ForceController(inner, {"stiffness": 1e5}) if forces else inner
     made.reset(paper.q_start)
     while inner.program_clock < 0.4:
@@ -278,9 +263,8 @@ def test_a_target_for_a_path_that_is_no_servo_path_any_more_is_an_event(paper: S
     assert events[1][1].startswith("retarget: InvalidInputError: ")
 
 
-@pytest.mark.parametrize("kernel", slow_but_first(available_kernels()))
 @pytest.mark.parametrize("call", ["reverse", "run_to", "shift_path", "jog", "return_to_path", "forward"])
-def test_a_users_path_that_fails_while_a_call_waits_raises_in_no_step(kernel: str, call: str, paper: Scenario) -> None:
+def test_a_users_path_that_fails_while_a_call_waits_raises_in_no_step(call: str, paper: Scenario) -> None:
     class Fails(Meeting):
         fails = False
 
@@ -290,7 +274,7 @@ def test_a_users_path_that_fails_while_a_call_waits_raises_in_no_step(kernel: st
             return super().pose(clock)
 
     cell, path = paper.cell.with_limits(acceleration=5.0), Fails(paper.path)
-    made = QPController(cell, paper.grasp, path, dt=0.0075, options={"kernel": kernel})
+    made = QPController(cell, paper.grasp, path, dt=0.0075, options={})
     made.reset(paper.q_start)
     for _ in range(60):
         made.step()
@@ -328,8 +312,7 @@ def test_bad_input_from_another_thread_is_refused_there(paper: Scenario) -> None
     assert made.step().rate == 1.0
 
 
-@pytest.mark.parametrize("kernel", available_kernels())
-def test_a_step_that_waits_for_its_solver_is_not_disturbed(kernel: str, paper: Scenario) -> None:
+def test_a_step_that_waits_for_its_solver_is_not_disturbed(paper: Scenario) -> None:
     """The path is known, so that nothing but the solver is Python."""
 
     class Meets(type(make_solver("daqp"))):  # type: ignore[misc]
@@ -345,7 +328,7 @@ def test_a_step_that_waits_for_its_solver_is_not_disturbed(kernel: str, paper: S
 
     def run(disturbed: bool) -> tuple[list[Any], list[type]]:
         solver, errors = Meets(), []
-        options = {"kernel": kernel, "solver": solver, "shortcut": False}
+        options = {"solver": solver, "shortcut": False}
         made = QPController(paper.cell, paper.grasp, paper.path, dt=0.0075, options=options)
         made.reset(paper.q_start)
 

@@ -9,7 +9,6 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 import pytest
-from marks import slow_but_first
 from runs import cooperative, limited
 from user_paths import Jumping
 
@@ -24,11 +23,9 @@ from coopqp import (
     simulate,
 )
 from coopqp.errors import StartWarning
-from coopqp.native import available_kernels
 from coopqp.scenarios import Scenario, dual_arm7, mixed_cell, paper_lift
 from coopqp.simulation import object_error, tool_placements
 
-KERNELS = available_kernels()
 DT = 0.005
 
 
@@ -49,11 +46,10 @@ def test_statuses_keep_their_numbers_and_have_an_order() -> None:
 
 
 @pytest.mark.core
-@pytest.mark.parametrize("kernel", slow_but_first(KERNELS))
 @pytest.mark.parametrize("acceleration", [np.inf, 5.0])
-def test_a_path_that_starts_away_is_off_path_until_the_object_is_back(kernel: str, acceleration: float) -> None:
+def test_a_path_that_starts_away_is_off_path_until_the_object_is_back(acceleration: float) -> None:
     task = limited(paper_lift(), acceleration)
-    controller = cooperative(task, kernel, dt=DT)
+    controller = cooperative(task, dt=DT)
     controller.reset(task.q_start)
     controller.follow(away(task.path, 0.15))
     controller.pause()
@@ -102,12 +98,11 @@ def test_a_turn_is_off_the_path_too() -> None:
 
 
 @pytest.mark.core
-@pytest.mark.parametrize("kernel", slow_but_first(KERNELS))
 @pytest.mark.parametrize("size", [2e-5, 2e-4, 2e-3])
-def test_an_odd_start_is_said_until_it_is_mended(kernel: str, size: float) -> None:
+def test_an_odd_start_is_said_until_it_is_mended(size: float) -> None:
     task = paper_lift()
     q = task.cell.moved(task.q_start, size * np.random.default_rng(1).standard_normal(task.cell.nv))
-    controller = cooperative(task, kernel, dt=DT)
+    controller = cooperative(task, dt=DT)
     with pytest.warns(StartWarning, match="off its grasp"):
         controller.reset(q)
     first = controller.step()
@@ -143,10 +138,9 @@ def test_a_start_outside_limits_is_warned_of_by_name() -> None:
 
 
 @pytest.mark.core
-@pytest.mark.parametrize("kernel", KERNELS)
-def test_a_reset_in_mid_path_goes_on_there(kernel: str) -> None:
+def test_a_reset_in_mid_path_goes_on_there() -> None:
     task = limited(mixed_cell(), 5.0)
-    controller = cooperative(task, kernel, dt=DT)
+    controller = cooperative(task, dt=DT)
     controller.reset(task.q_start)
     for _ in range(300):
         step = controller.step()
@@ -162,11 +156,10 @@ def test_a_reset_in_mid_path_goes_on_there(kernel: str) -> None:
 
 
 @pytest.mark.core
-@pytest.mark.parametrize("kernel", slow_but_first(KERNELS))
-def test_the_same_path_followed_again_from_where_it_is_changes_nothing(kernel: str) -> None:
+def test_the_same_path_followed_again_from_where_it_is_changes_nothing() -> None:
     """Under acceleration limits a rate that starts again at 0 would part the arms."""
     task = limited(dual_arm7(), 5.0)
-    plain, again = cooperative(task, kernel, dt=DT), cooperative(task, kernel, dt=DT)
+    plain, again = cooperative(task, dt=DT), cooperative(task, dt=DT)
     for controller in (plain, again):
         controller.reset(task.q_start)
     rng = np.random.default_rng(2)
@@ -195,12 +188,11 @@ def test_a_clock_that_is_not_on_the_path_is_a_named_error_and_changes_nothing(ba
 
 
 @pytest.mark.core
-@pytest.mark.parametrize("kernel", slow_but_first(KERNELS))
 @pytest.mark.parametrize("size", [0.1, 5.0])
-def test_a_jump_of_a_users_path_is_named_as_such(kernel: str, size: float) -> None:
+def test_a_jump_of_a_users_path_is_named_as_such(size: float) -> None:
     task = limited(paper_lift(), 10.0)
     task = dataclasses.replace(task, path=Jumping(task.path, 0.6 * task.path.duration, np.array([size, 0.0, 0.0])))
-    controller = cooperative(task, kernel, dt=DT)
+    controller = cooperative(task, dt=DT)
     controller.reset(task.q_start)
     for _ in range(700):
         step = controller.step()

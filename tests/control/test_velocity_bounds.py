@@ -14,8 +14,8 @@ from hypothesis import given, strategies as st
 from numpy.typing import NDArray
 
 from coopqp import BindingLimit, JointLimits, LimitKind, RobotCell
-from coopqp.control.step.velocity_bounds import VelocityBox, rate_interval
-from coopqp.native.constants import LIMIT_TOLERANCE, RECOVERY_SHARE
+from coopqp.control.step.velocity_bounds import VelocityBox
+from coopqp.native.constants import RECOVERY_SHARE
 
 Array = NDArray[np.float64]
 STEPS = [0.001, 0.002, 0.01]  # [s]
@@ -270,54 +270,6 @@ def test_recovery_is_zero_elsewhere_even_without_limits() -> None:
 
 
 # -- rates that a box admits ------------------------------------------------------------------------------------------
-
-
-def admits(rate: float, base: Array, along: Array, low: Array, high: Array, tolerance: float) -> bool:
-    v = base + rate * along
-    return bool((v <= high + tolerance).all() and (v >= low - tolerance).all())
-
-
-@given(st.integers(0, 2**32 - 1), st.floats(0.0, 2.0), st.booleans())
-def test_the_interval_of_rates_is_what_the_box_admits(seed: int, spread: float, unlimited: bool) -> None:
-    """Rates inside the interval keep the box, rates outside do not; for an empty interval none of a thousand does."""
-    rng = np.random.default_rng(seed)
-    n = 12
-    base, along = spread * rng.normal(size=n), rng.normal(size=n) * rng.choice([0.0, 1e-13, 1.0, 1.0, 1.0], n)
-    low, high = -rng.uniform(0.2, 3.0, n), rng.uniform(0.2, 3.0, n)
-    if unlimited:
-        low[rng.uniform(size=n) < 0.4], high[rng.uniform(size=n) < 0.4] = -np.inf, np.inf
-    interval = rate_interval(base, along, low, high)
-    if interval is None:
-        for rate in np.linspace(-20.0, 20.0, 1001):
-            assert not admits(rate, base, along, low, high, 0.0)
-        return
-    lowest, highest, j = interval
-    assert lowest <= highest
-    for share in (0.0, 0.3, 1.0):
-        a, b = max(lowest, -1e3), min(highest, 1e3)
-        assert admits(a + share * (b - a), base, along, low, high, 10.0 * LIMIT_TOLERANCE)
-    beyond = 1e-6 * (1.0 + abs(highest)) / max(abs(along[j]), 1e-3)
-    if np.isfinite(highest) and abs(along[j]) > 1e-6:
-        assert not admits(highest + beyond, base, along, low, high, LIMIT_TOLERANCE)
-        v = base[j] + highest * along[j]
-        assert v == pytest.approx(high[j] if along[j] > 0.0 else low[j], abs=1e-8)  # the joint at its bound
-    if np.isfinite(lowest):
-        assert not admits(lowest - 1e-3 * (1.0 + abs(lowest)), base, along, low, high, LIMIT_TOLERANCE)
-
-
-def test_rates_at_standstill() -> None:
-    """Rounding of the box must not give an empty interval or a negative rate."""
-    zero = np.zeros(2)
-    along = np.array([1.0, -2.0])
-    for error in (0.0, 1e-10, -1e-10):
-        interval = rate_interval(zero, along, np.array([-1.0, -1.0]), np.array([error, 1.0]))
-        assert interval is not None
-        assert interval[0] <= interval[1]
-        assert interval[1] == pytest.approx(0.0, abs=1e-9)
-        assert interval[1] >= 0.0
-        assert interval[2] == 0
-    assert rate_interval(np.array([0.1, 0.0]), np.zeros(2), -np.ones(2), np.array([0.05, 1.0])) is None
-    assert rate_interval(zero, zero, -np.ones(2), np.ones(2))[:2] == (-np.inf, np.inf)
 
 
 # -- names -----------------------------------------------------------------------------------------------------------

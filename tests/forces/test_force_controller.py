@@ -12,7 +12,6 @@ import pinocchio as pin
 import pytest
 from golden import Golden, Run
 from hypothesis import given, strategies as st
-from marks import slow_but_first
 
 from coopqp import (
     Cause,
@@ -36,7 +35,7 @@ from coopqp.control.core.force_memory import minding_scalars, minding_size
 from coopqp.errors import StartWarning
 from coopqp.forces import Grip, LoadShare, StressModel, internal_wrenches
 from coopqp.model import CellState
-from coopqp.native import _core, available_kernels
+from coopqp.native import _core
 from coopqp.planning import Payload
 from coopqp.scenarios import Scenario, palm_box, paper_lift, torso_lift
 from coopqp.simulation import Disturbances, KinematicPlant, PhysicsPlant, misplaced
@@ -213,10 +212,9 @@ def test_a_copy_goes_on_bit_for_bit(how: Callable[[Any], Any], steps: int, press
     assert other.controller is not original
 
 
-@pytest.mark.parametrize("kernel", available_kernels())
-def test_a_length_of_a_step_that_is_refused_moves_no_grasp_further(kernel: str, task: Scenario) -> None:
+def test_a_length_of_a_step_that_is_refused_moves_no_grasp_further(task: Scenario) -> None:
     """A clock that leaps by 50 s let the grasps give way by 9.6 mm in one step; short numbers count as others do."""
-    inner = QPController(task.cell, task.grasp, task.path, dt=task.dt, options={"kernel": kernel})
+    inner = QPController(task.cell, task.grasp, task.path, dt=task.dt, options={})
     made = ForceController(inner, {"stiffness": 1e5, "check_time": 0.0, "presses": False})
     made.reset(task.q_start)
     q, push, rng = task.q_start, np.zeros((3, 6)), np.random.default_rng(0)
@@ -241,10 +239,9 @@ def test_a_length_of_a_step_that_is_refused_moves_no_grasp_further(kernel: str, 
 # -- the controller's grasp ----------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("kernel", available_kernels())
-def test_arms_follow_a_grasp_that_moves(kernel: str, task: Scenario) -> None:
+def test_arms_follow_a_grasp_that_moves(task: Scenario) -> None:
     """The chain closes at the new placements; a copy goes on bit for bit; zeros lead back."""
-    controller = QPController(task.cell, task.grasp, task.path, dt=task.dt, options={"kernel": kernel})
+    controller = QPController(task.cell, task.grasp, task.path, dt=task.dt, options={})
     controller.reset(task.q_start)
     shift = np.array([1e-3 * np.array([k, -k, 0.5 * k, 0.3 * k, 0.0, k]) for k in range(3)])
     new = [pin.exp6(d) * X for d, X in zip(shift, task.grasp.T_object_tool, strict=True)]
@@ -285,7 +282,7 @@ def test_the_tools_of_the_pseudo_inverse_follow_a_grasp_that_moves(task: Scenari
 
 @pytest.mark.core
 def test_a_grasp_that_moves_as_recorded(task: Scenario, golden: Golden) -> None:
-    made = QPController(task.cell, task.grasp, task.path, dt=task.dt, options={"kernel": golden.kernel})
+    made = QPController(task.cell, task.grasp, task.path, dt=task.dt, options={})
     made.reset(task.q_start)
     done, rng = golden.of(made), np.random.default_rng(0)
     for _ in range(40):
@@ -329,7 +326,7 @@ def fed(
     return out
 
 
-def scripted(case: str, kernel: str = "auto") -> tuple[ForceController, Array]:
+def scripted(case: str) -> tuple[ForceController, Array]:
     options: dict[str, Any] = {"stiffness": 1e5, "presses": False, "check_time": 0.02, "sensor_tolerance": 25.0}
     task = palm_box() if case == "palms" else paper_lift(time_law="quintic")
     if case == "on a lift":
@@ -341,7 +338,7 @@ def scripted(case: str, kernel: str = "auto") -> tuple[ForceController, Array]:
         options |= {"sensor_tolerance": 1e4, "stiffness": 1e4}
     if case == "out of reach":
         options |= {"reach": 2e-5}
-    inner = QPController(task.cell, task.grasp, task.path, dt=task.dt, options={"kernel": kernel})
+    inner = QPController(task.cell, task.grasp, task.path, dt=task.dt, options={})
     made = ForceController(inner, options)
     made.reset(task.q_start)
     return made, task.q_start
@@ -369,7 +366,7 @@ def test_a_step_is_the_same_whether_python_takes_part_or_not(case: str) -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("case", FAULTS)
 def test_steps_with_wrenches_as_recorded(case: str, golden: Golden) -> None:
-    made, start = scripted(case, golden.kernel)
+    made, start = scripted(case)
     same = 5e-8 if case == "noise" else 1e-8  # noise carries roundings into the rate
     fed(made, case, LONG.get(case, 230), start=start, done=golden.of(made, same))
 
@@ -661,14 +658,14 @@ def test_forces_that_grow_by_themselves_end_the_presses(task: Scenario) -> None:
 class Pushed:
     """A ForceController whose object is pushed: by wrenches of arms that carry the payload, less the push."""
 
-    def __init__(self, task: Scenario, kernel: str, *, mass: float = 20.0, path: Any = None, acceleration: Any = None):
+    def __init__(self, task: Scenario, *, mass: float = 20.0, path: Any = None, acceleration: Any = None):
         self.payload, self.mass = Payload(mass=20.0, centre=task.T_object_body.translation), mass
         scale = np.tile([1.0, 1.0, 1.0, 0.1, 0.1, 0.1], 3)  # as the load is shared, so that nothing is internal
         total = np.hstack([X.actionInverse.T for X in task.grasp.T_object_tool])
         self.shares = scale[:, None] * np.linalg.pinv(total * scale)
         self.rng, self.path = np.random.default_rng(0), path or task.path
         cell = task.cell if acceleration is None else task.cell.with_limits(acceleration=acceleration)
-        options = {"kernel": kernel, "supervision": {"slow_from": None}}
+        options = {"supervision": {"slow_from": None}}
         inner = QPController(cell, task.grasp, self.path, dt=task.dt, options=options)
         # The wrenches do not answer presses.
         told = {"stiffness": STIFF, "payload": self.payload, "sensor_tolerance": 1e3, "presses": False}
@@ -693,12 +690,11 @@ class Pushed:
         return out
 
 
-@pytest.mark.parametrize("kernel", slow_but_first(available_kernels()))
 @pytest.mark.parametrize("way", [(0.0, 0.0, 1.0), (-0.6, 0.0, 0.8)])
-def test_a_push_on_the_object_holds_it_with_the_direction(kernel: str, way: Any, task: Scenario) -> None:
+def test_a_push_on_the_object_holds_it_with_the_direction(way: Any, task: Scenario) -> None:
     """Also an object of another mass than told. It goes back, and rests until it is told to go on."""
-    for mass in (20.0, 12.0) if kernel == "compiled" else (20.0,):
-        world = Pushed(task, kernel, mass=mass)
+    for mass in (20.0, 12.0):
+        world = Pushed(task, mass=mass)
         step = world.go(300)
         assert step.status is Status.TRACKING, step.reason
         before = world.at()
@@ -722,30 +718,24 @@ def test_an_object_that_meets_something_goes_back_the_way_it_came(acceleration: 
     """Against the push, not along it; within the limits, with the arms together, and no farther than there is room."""
     start = task.path.pose(0.0)
     down = pin.SE3(start.rotation, start.translation + np.array([0.0, 0.0, -0.08]))
-    ways = []
-    for kernel in available_kernels():
-        world = Pushed(task, kernel, path=WaypointPath([start, down], durations=[1.0]), acceleration=acceleration)
-        while world.go(1).clock < 0.5:
-            pass
-        before, n = world.at(), len(world.steps)
-        step = world.go(8 if kernel == "plain" else 80, [40.0, 0.0, 60.0])
-        assert step.cause is Cause.CONTACT
-        assert max(step.commanded_apart for step in world.steps) < 1e-5
-        limit = 1.0 + 1e-9
-        assert all(np.abs(step.velocity / world.cell.limits.velocity).max() < limit for step in world.steps)
-        moved = world.at() - before
-        if kernel == "compiled":
-            assert 0.02 < moved[2] < 0.02 + 0.2 * 0.15
-            np.testing.assert_allclose(step.velocity, 0.0, atol=1e-6)
-            assert abs(moved[0]) < 1e-3
-        ways.append([step.q_next for step in world.steps[: n + 8]])
-    if len(ways) > 1:
-        np.testing.assert_allclose(ways[0], ways[1], rtol=0.0, atol=1e-9)
+    world = Pushed(task, path=WaypointPath([start, down], durations=[1.0]), acceleration=acceleration)
+    while world.go(1).clock < 0.5:
+        pass
+    before = world.at()
+    step = world.go(80, [40.0, 0.0, 60.0])
+    assert step.cause is Cause.CONTACT
+    assert max(step.commanded_apart for step in world.steps) < 1e-5
+    limit = 1.0 + 1e-9
+    assert all(np.abs(step.velocity / world.cell.limits.velocity).max() < limit for step in world.steps)
+    moved = world.at() - before
+    assert 0.02 < moved[2] < 0.02 + 0.2 * 0.15
+    np.testing.assert_allclose(step.velocity, 0.0, atol=1e-6)
+    assert abs(moved[0]) < 1e-3
 
 
 def test_what_holds_otherwise_does_not_go_back(task: Scenario) -> None:
     """Wrenches that do not come any more say nothing of the push."""
-    world = Pushed(task, available_kernels()[0])
+    world = Pushed(task)
     world.go(300)
     step = world.go(3, [0.0, 0.0, 60.0])
     assert step.cause is Cause.CONTACT
@@ -771,12 +761,11 @@ def test_a_grip_out_of_reach_is_refused_by_name(task: Scenario) -> None:
         made.reset(task.q_start)
 
 
-@pytest.mark.parametrize("kernel", available_kernels())
-def test_the_object_stays_where_it_is_until_the_arms_have_relaxed(kernel: str, task: Scenario) -> None:
+def test_the_object_stays_where_it_is_until_the_arms_have_relaxed(task: Scenario) -> None:
     """Off its path, the first command pulled it there with 68 N."""
     off = pin.SE3(np.eye(3), np.array([0.0, 0.0, 1e-3])) * task.path.pose(0.0)
     q = inverse_kinematics(task.cell, task.grasp, off, task.q_start)
-    inner = QPController(task.cell, task.grasp, task.path, dt=task.dt, options={"kernel": kernel})
+    inner = QPController(task.cell, task.grasp, task.path, dt=task.dt, options={})
     made = ForceController(inner, {"stiffness": STIFF})
     with pytest.warns(StartWarning, match="off its path"):
         made.reset(q)
@@ -788,12 +777,11 @@ def test_the_object_stays_where_it_is_until_the_arms_have_relaxed(kernel: str, t
 # -- an operator ---------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("kernel", slow_but_first(available_kernels()))
-def test_back_by_hand_and_on_while_forces_are_relaxed(task: Scenario, kernel: str) -> None:
+def test_back_by_hand_and_on_while_forces_are_relaxed(task: Scenario) -> None:
     """The operator's calls are those of the controller within; the arms go on to relax."""
     cell = task.cell.with_limits(acceleration=5.0)
     world = Elastic(cell, misplaced(cell, task.grasp, {"slave_2": OFF}), late=1)
-    controller = QPController(cell, task.grasp, task.path, dt=task.dt, options=QPOptions(kernel=kernel))
+    controller = QPController(cell, task.grasp, task.path, dt=task.dt, options=QPOptions())
     made = ForceController(controller, {"stiffness": STIFF, "check_time": 0.0, "presses": False})
     made.reset(task.q_start)
     commanded, seen = task.q_start, []

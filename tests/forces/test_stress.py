@@ -11,7 +11,6 @@ from cells import grasp_at
 
 import coopqp.forces.internal
 from coopqp import Grasp, InvalidInputError, RobotCell
-from coopqp.control.monitoring.stress import StressWatch
 from coopqp.forces import StressModel, at_tools
 from coopqp.model import CellState
 from coopqp.scenarios import Scenario
@@ -137,39 +136,6 @@ def test_servo_deflection_shows_the_wrenches_that_cause_it(
         q_command = pin.integrate(cell.model, q, torque / model.stiffness)
         np.testing.assert_allclose(model.from_torques(q, torque), wrenches, atol=1e-6)
         np.testing.assert_allclose(model.from_servos(q_command, q), wrenches, atol=1e-6)
-
-
-@pytest.mark.parametrize("robots", ROBOTS[:3])
-def test_the_watch_reads_the_forces_that_bend_the_servos(
-    robots: tuple[str, ...],
-    make_cell: Callable[..., RobotCell],
-    random_q: Callable[..., Array],
-    rng: np.random.Generator,
-) -> None:
-    """The watch is right at rest, and in motion with the given latency of measurements."""
-    cell = make_cell(robots)
-    q, v = random_q(cell, rng), rng.uniform(-0.5, 0.5, cell.nv)
-    while CellState(cell, q).sigma_min.min() < 0.1:  # near a singularity the servos feel little of a force
-        q = random_q(cell, rng)
-    stiffness, grasp = rng.uniform(5e4, 1e5, cell.nv), grasp_at(cell, q)
-    watch = StressWatch(cell, grasp, stiffness=stiffness, delay=0.005, filter_time=0.0)
-    wrenches = rng.uniform(-1.0, 1.0, (len(cell), 6)) * [20.0, 20.0, 20.0, 2.0, 2.0, 2.0]
-    for i in range(3):
-        command = pin.integrate(cell.model, q, 1e-3 * i * v)
-        late = pin.integrate(cell.model, command, -0.005 * v * (i > 0))  # a standing start
-        state, bend = CellState(cell, late), np.zeros(cell.nv)
-        for k, s in enumerate(cell.v_slices):
-            bend[s] = state.jacobian(k, pin.LOCAL_WORLD_ALIGNED).T @ wrenches[k] / stiffness[s]
-        watch.read(pin.integrate(cell.model, late, -bend), command, 1e-3)
-        np.testing.assert_allclose(watch.forces, np.linalg.norm(wrenches[:, :3], axis=1), rtol=0.05)
-
-
-def test_near_a_singularity_the_watch_stays_finite(paper: Scenario) -> None:
-    q = paper.q_start.copy()
-    q[4] = 0.0  # the master's wrist is straight
-    watch = StressWatch(paper.cell, paper.grasp, stiffness=np.full(18, 1e5), delay=0.0, filter_time=0.0)
-    watch.read(q, q + 1e-5, 1e-3)
-    assert (watch.forces < 200.0).all()
 
 
 def test_at_tools_keeps_the_power(paper: Scenario, rng: np.random.Generator) -> None:

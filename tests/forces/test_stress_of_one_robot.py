@@ -11,7 +11,7 @@ from cells import grasp_at, on_another_joint
 from torsos import robot_of
 
 from coopqp import RobotCell
-from coopqp.control.monitoring.stress import StressWatch, servo_wrenches, whole_compliance
+from coopqp.control.monitoring.stress import servo_wrenches, whole_compliance
 from coopqp.forces import StressModel
 from coopqp.forces.presses import PressPlan, of_grip
 from coopqp.model import CellState, Chain
@@ -83,49 +83,6 @@ def test_the_object_settles_where_the_elastic_energy_is_least(cell: RobotCell, r
     scale = np.abs(expected).max()
     np.testing.assert_allclose(stress.wrenches, expected, atol=1e-6 * scale)
     np.testing.assert_allclose(stress.wrenches.sum(axis=0), 0.0, atol=1e-8 * scale)
-
-
-def test_servos_show_the_wrenches_that_bend_them(cell: RobotCell, rng: np.random.Generator) -> None:
-    """From torques Σ_k B_kᵀ w_k of what arms share; and by the watch, in world axes, at rest."""
-    q, stiffness = regular(cell, rng), stiff(cell, rng)
-    grasp = grasp_at(cell, q)
-    R = grasp.carried(CellState(cell, q))[0]
-    wrenches = rng.uniform(-1.0, 1.0, (len(cell), 6)) * [20.0, 20.0, 20.0, 2.0, 2.0, 2.0]
-    torque = dense(cell, q, R).T @ wrenches.ravel()
-    model = StressModel(cell, grasp, stiffness=stiffness)
-    np.testing.assert_allclose(model.from_torques(q, torque), wrenches, atol=1e-6)
-    command = pin.integrate(cell.model, q, torque / stiffness)
-    np.testing.assert_allclose(model.from_servos(command, q), wrenches, atol=1e-6)
-    watch = StressWatch(cell, grasp, stiffness=stiffness, delay=0.0, filter_time=0.0)
-    watch.read(q, command, 1e-3)
-    np.testing.assert_allclose(watch.forces, np.linalg.norm(wrenches[:, :3], axis=1), rtol=0.01)
-
-
-def test_the_arm_that_hangs_behind_is_found(cell: RobotCell, rng: np.random.Generator) -> None:
-    """Its own joints' targets stay 0.5 mm behind; all arms settle where the energy is least."""
-    found = 0
-    for _ in range(8):
-        q, stiffness = regular(cell, rng), stiff(cell, rng)
-        grasp = grasp_at(cell, q)
-        R = grasp.carried(CellState(cell, q))[0]
-        A, k = dense(cell, q, R), int(rng.integers(len(cell)))
-        own = np.arange(cell.v_slices[k].start, cell.v_slices[k].stop)
-        twist = np.concatenate([rng.normal(size=3), 0.3 * rng.normal(size=3)])
-        twist *= 5e-4 / np.linalg.norm(twist[:3])
-        behind = np.zeros(cell.nv)  # how far the target of each servo is behind the command
-        behind[own] = np.linalg.lstsq(A[6 * k : 6 * k + 6, own], twist, rcond=None)[0]
-        bent, _ = settled(cell, q, R, -(A @ behind).reshape(-1, 6), stiffness)
-        measured = pin.integrate(cell.model, q, bent - behind)
-        watch = StressWatch(cell, grasp, stiffness=stiffness, delay=0.0, filter_time=0.0)
-        for t in (-2.0, -1.0, 0.0):  # it moved along the way on which it hangs behind
-            watch.read(pin.integrate(cell.model, measured, t * behind), pin.integrate(cell.model, q, t * behind), 0.1)
-        for _ in range(4):
-            watch.read(measured, q, 0.1)
-        assert watch.behind in (k, -1)  # −1: its wrench is no large part of all
-        if watch.behind == k:
-            found += 1
-            assert watch.gap == pytest.approx(5e-4, rel=0.05)
-    assert found >= 3
 
 
 def test_motions_of_grasps_cause_the_wrenches_of_the_grip(cell: RobotCell, rng: np.random.Generator) -> None:

@@ -85,13 +85,12 @@ class Golden:
     Args:
         name: of the test that the case is of.
         case: its parameters.
-        kernel: which arithmetic makes the steps.
         disturbed: the configurations to start at are moved by up to this [rad or m].
         seed: where to.
     """
 
-    def __init__(self, name: str, case: str, *, kernel: str = "auto", disturbed: float = 0.0, seed: int = 0) -> None:
-        self.name, self.case, self.kernel = name, case, kernel
+    def __init__(self, name: str, case: str, *, disturbed: float = 0.0, seed: int = 0) -> None:
+        self.name, self.case = name, case
         self.runs: list[Run] = []
         self._disturbed, self._rng = disturbed, np.random.default_rng(seed)
 
@@ -100,7 +99,7 @@ class Golden:
         constraints: Sequence[Any] = (), **options: Any,
     ) -> Run:  # fmt: skip
         """A run from the start of a scenario, along its path or another one."""
-        given = QPOptions(kernel=self.kernel, **options)
+        given = QPOptions(**options)
         follow = task.path if path is None else path()
         made = QPController(
             task.cell, task.grasp, follow, dt=dt or task.dt, options=given, constraints=list(constraints)
@@ -110,7 +109,7 @@ class Golden:
         return Run(self, made)
 
     def of(self, controller: Any, same: float = SAME) -> Run:
-        """A run of a controller that has been built and reset elsewhere, with this arithmetic."""
+        """A run of a controller that has been built and reset elsewhere."""
         return Run(self, controller, same)
 
     def tapes(self) -> list[Tape]:

@@ -1,8 +1,7 @@
 """Record golden runs anew: ``record.py CASE…`` those whose test or parameters contain one of the words, else all.
 
-A case that is as it was recorded keeps its file. Both kernels must make the same steps. ``--disturbed 1e-12`` writes
-nothing: it names the cases whose steps leave their bounds when the configuration that they start at is moved by
-as much.
+A case that is as it was recorded keeps its file. ``--disturbed 1e-12`` writes nothing: it names the cases whose steps
+leave their bounds when the configuration that they start at is moved by as much.
 """
 
 from __future__ import annotations
@@ -18,14 +17,12 @@ sys.path[:0] = [str(HERE), str(HERE.parent / "support")]
 
 import golden as runs  # noqa: E402
 
-from coopqp.native import available_kernels  # noqa: E402
-
 
 class Recorder(runs.Session):
     """What is made is kept, where it differs from what is there."""
 
     def __init__(self) -> None:
-        super().__init__(kernel=available_kernels()[0])
+        super().__init__()
         self.made: set[tuple[str, str]] = set()
 
     def end(self, made: runs.Golden) -> None:
@@ -61,21 +58,17 @@ def main() -> int:
     parser.add_argument("cases", nargs="*", metavar="CASE", help="part of the name of a test or of its parameters")
     parser.add_argument("--disturbed", type=float, default=0.0, help="compare runs from starts that are moved [rad, m]")
     parser.add_argument("--seed", type=int, default=0, help="where they are moved")
-    parser.add_argument("--kernel", help="compare the steps of this kernel, and write nothing")
     args = parser.parse_args()
     chosen = ["-k", " or ".join(args.cases)] if args.cases else []
     files = [str(file) for file in sorted(HERE.parent.rglob("test_*.py")) if "golden: Golden" in file.read_text()]
     options = [*files, *chosen, "--tb=line", "-rf", "-p", "no:cacheprovider", "-p", "no:xdist"]
-    if args.disturbed or args.kernel:
-        runs.SESSION = runs.Session(kernel=args.kernel or "auto", disturbed=args.disturbed, seed=args.seed)
+    if args.disturbed:
+        runs.SESSION = runs.Session(disturbed=args.disturbed, seed=args.seed)
         return int(pytest.main(options, plugins=[Only()]))
     runs.SESSION = recorder = Recorder()
     status = int(pytest.main([*options, "-s"], plugins=[Only()]))
     if not args.cases and not status:
         recorder.forget_others()
-    for kernel in available_kernels()[1:]:
-        runs.SESSION = runs.Session(kernel=kernel)
-        status = status or int(pytest.main(options, plugins=[Only()]))
     return status
 
 

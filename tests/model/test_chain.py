@@ -17,8 +17,7 @@ from torsos import robot_of
 from coopqp import Arm, Grasp, RobotCell
 from coopqp.control.monitoring.stress import whole_compliance
 from coopqp.model import CellState
-from coopqp.model.chain import SINGULAR_FLOOR, Chain, is_redundant
-from coopqp.native.constants import FAR_EDGE
+from coopqp.model.chain import SINGULAR_FLOOR, Chain
 from coopqp.scenarios import Scenario, robot_path
 from coopqp.spatial import adjoint, for_twists
 
@@ -165,27 +164,6 @@ def test_dense_is_the_arms_jacobians(setting: tuple[Chain, Array]) -> None:
         assert not np.delete(block, np.arange(s.start, s.stop), axis=1).any()
 
 
-def test_an_edge_is_where_the_least_singular_value_is_headed_for_zero(setting: tuple[Chain, Array]) -> None:
-    """σ along the motion v = Jᵀ u that moves the object least, by finite differences: the edge is at −σ/σ̇ v."""
-    chain, q = setting
-
-    def jacobian(at: Array, arm: slice, k: int) -> Array:
-        chain.linearise(at, ABOUT)
-        return chain.dense()[6 * k : 6 * k + 6, arm]
-
-    chain.linearise(q, ABOUT)
-    edges = chain.to_reach_end()
-    for k, arm in enumerate(chain.cell.v_slices):
-        if arm.stop - arm.start < 6:
-            assert edges[arm].min() >= 1e3  # its reach is judged otherwise
-            continue
-        U, sizes, _ = np.linalg.svd(jacobian(q, arm, k))
-        v = np.zeros(chain.nv)
-        v[arm] = jacobian(q, arm, k).T @ U[:, 5]
-        ends = [np.linalg.svd(jacobian(chain.cell.moved(q, step * v), arm, k))[1][5] for step in (-1e-5, 1e-5)]
-        np.testing.assert_allclose(edges[arm], -2e-5 * sizes[5] / (ends[1] - ends[0]) * v[arm], rtol=1e-4)
-
-
 def test_compliances_are_those_of_joints_in_series(setting: tuple[Chain, Array], rng: Any) -> None:
     """A wrench w bends joint j by softness_j (Jᵀ w)_j, and the object gives way by J times that."""
     chain, q = setting
@@ -253,21 +231,6 @@ def test_joint_velocities_are_a_right_inverse(setting: tuple[Chain, Array], rng:
             close(v[s], expected, 1e-10)
 
 
-def test_redundant_arms_move_no_more_than_they_need(make_cell: Any, random_q: RandomQ, rng: Any) -> None:
-    cell = make_cell(["arm7", "gantry7"])
-    chain = Chain(cell, Grasp((np.eye(4), np.eye(4))))
-    assert chain.redundancy == 2
-    chain.linearise(random_q(cell, rng), ABOUT)
-    scale = np.concatenate([scale_of(chain, k) for k in range(2)])
-    v = chain.joint_velocities(rng.uniform(-1, 1, (2, 6)))
-    basis = chain.null_basis()
-    cost = np.sum((v / scale) ** 2)
-    for _ in range(50):
-        other = v + basis @ rng.normal(size=2)
-        assert np.sum((other / scale) ** 2) > cost
-    close(basis.T @ (v / scale**2), np.zeros(2), 1e-12)
-
-
 def test_columns_are_velocities_of_common_twists(setting: tuple[Chain, Array], rng: Any) -> None:
     chain, q = setting
     chain.linearise(q, ABOUT)
@@ -277,96 +240,6 @@ def test_columns_are_velocities_of_common_twists(setting: tuple[Chain, Array], r
     for c in range(4):
         alone = chain.joint_velocities(np.tile(T[:, c], (chain.n_arms, 1)))
         close(columns[:, c], alone, 1e-12)
-
-
-def test_null_motions_leave_the_object_at_rest(setting: tuple[Chain, Array], rng: Any) -> None:
-    chain, q = setting
-    chain.linearise(q, ABOUT)
-    basis = chain.null_basis()
-    redundant = sum(max(s.stop - s.start - 6, 0) for s in chain.cell.v_slices)
-    assert basis.shape == (chain.nv, redundant)
-    assert chain.redundancy == redundant
-    if redundant:
-        close(chain.dense() @ basis, np.zeros((6 * chain.n_arms, redundant)), 1e-13)
-        scale = np.concatenate([scale_of(chain, k) for k in range(chain.n_arms)])
-        in_units = basis / scale[:, None]
-        close(in_units.T @ in_units, np.eye(redundant), 1e-13)
-    v = rng.uniform(-1, 1, chain.nv)
-    part = chain.null_part(v)
-    close(chain.twists(part), np.zeros((chain.n_arms, 6)), 1e-11)
-    close(chain.null_part(part), part, 1e-11)  # a projection
-    for s in chain.cell.v_slices:
-        if s.stop - s.start <= 6:
-            assert not part[s].any()
-    if redundant:  # onto the span of the basis: no null-space motion is lost
-        z = rng.normal(size=redundant)
-        close(chain.null_part(basis @ z), basis @ z, 1e-11)
-
-
-def test_null_motions_to_second_order(make_cell: Any, random_q: RandomQ, rng: Any) -> None:
-    cell = make_cell(["arm7", "gantry7"])
-    q = random_q(cell, rng)
-    chain = Chain(cell, Grasp((np.eye(4), np.eye(4))))
-    chain.linearise(q, ABOUT)
-    v = chain.null_basis() @ np.array([0.6, -0.8])
-    before = chain.carried(q)
-    gaps = [
-        max(np.abs(a.homogeneous - b.homogeneous).max() for a, b in zip(chain.carried(q + h * v), before, strict=True))
-        for h in (2e-4, 1e-4)
-    ]
-    assert gaps[0] / gaps[1] == pytest.approx(4.0, rel=0.05)
-
-
-def test_admissible_twists(setting: tuple[Chain, Array], rng: Any) -> None:
-    """The twists that all arms with four and five joints can follow, exactly these."""
-    chain, q = setting
-    R = pin.SE3.Random()
-    chain.linearise(q, about=R.translation)
-    Z, ranges = chain.admissible_twists(turned(R).T)
-    assert sorted(k for k, _ in ranges) == sorted(chain.deficient)
-    d = Z.shape[1]
-    close(Z.T @ Z, np.eye(d), 1e-13)
-    if not chain.deficient:
-        assert d == 6
-    bases = []
-    for k, P in ranges:
-        A = turned(R).T @ tool_jacobian(CellState(chain.cell, q), k, R.translation)
-        close(P, P.T, 1e-13)
-        close(P @ P, P, 1e-13)
-        close(P @ A, A, 1e-12)  # twists that the arm can do
-        assert np.linalg.matrix_rank(P, tol=1e-8) == A.shape[1]
-        close(P @ Z, Z, 1e-7)
-        bases.append(np.linalg.svd(A)[0][:, A.shape[1] :])  # twists that the arm cannot do
-    if bases:
-        forbidden = np.hstack(bases)
-        assert d == 6 - np.linalg.matrix_rank(forbidden, tol=1e-6)
-    for _ in range(5):  # every arm follows a commanded admissible twist
-        V = turned(R) @ (Z @ rng.normal(size=d)) if d else np.zeros(6)
-        v = chain.joint_velocities(np.tile(V, (chain.n_arms, 1)))
-        close(chain.twists(v), np.tile(V, (chain.n_arms, 1)), 1e-6)
-
-
-def test_four_joints_in_parallel_agree_on_their_twists(make_cell: Any, rng: Any) -> None:
-    """Two SCARA arms side by side: three translations and the turn about the vertical."""
-    cell = make_cell(["scara4", "scara4"], [pin.SE3.Identity(), pin.SE3(pin.exp3(np.array([0, 0, 2.0])), np.ones(3))])
-    chain = Chain(cell, Grasp((np.eye(4), np.eye(4))))
-    chain.linearise(cell.configuration([0.3, 0.8, -0.05, 0.1, -0.2, 0.9, -0.1, 0.4]), ABOUT)
-    Z, _ = chain.admissible_twists(np.eye(6))
-    assert Z.shape == (6, 4)
-    close(Z[3:5], np.zeros((2, 4)), 1e-7)
-
-
-def test_a_singular_arm_admits_less(make_cell: Any) -> None:
-    """Stretched upwards, arm5 can do fewer than five independent twists: exactly these are admissible."""
-    cell = make_cell(["arm5"])
-    chain = Chain(cell, Grasp((np.eye(4),)))
-    chain.linearise(np.zeros(5), ABOUT)
-    rank = int(np.linalg.matrix_rank(chain.dense(), tol=1e-9))
-    assert rank < 5
-    Z, ((_, P),) = chain.admissible_twists(np.eye(6))
-    assert Z.shape == (6, rank)
-    assert np.linalg.matrix_rank(P, tol=1e-9) == rank
-    close(P @ chain.dense(), chain.dense(), 1e-13)
 
 
 def with_fingers(robot: str, tool: str, folder: Path) -> Path:
@@ -400,14 +273,6 @@ def test_fingers_carry_nothing(tmp_path: Path, rng: Any) -> None:
     close(chain.dense()[:, :6], reference.dense(), 1e-15)
     assert not chain.dense()[:, 6:].any()
     assert chain.redundancy == 0
-
-
-def test_fingers_do_not_hide_that_an_arm_has_four_joints(tmp_path: Path) -> None:
-    arm = Arm.from_urdf("a", with_fingers("scara4", "tool", tmp_path), tool_frame="tool", geometry=False)
-    chain = Chain(RobotCell([arm]), Grasp((np.eye(4),)))
-    chain.linearise(np.array([0.3, 0.5, -0.05, 0.2, 0.0, 0.0]), ABOUT)
-    assert chain.deficient == (0,)
-    assert chain.admissible_twists(np.eye(6))[0].shape == (6, 4)
 
 
 # -- singularities ---------------------------------------------------------------------------------------------------
@@ -524,6 +389,39 @@ def test_one_hundred_metres_from_the_origin(make_cell: Any) -> None:
 # -- arms that follow their joints' own way ----------------------------------------------------------------------------
 
 
+def test_tools_that_move_on_the_object_and_shift_are_both_counted(make_cell: Any, random_q: RandomQ, rng: Any) -> None:
+    """Each arm holds the object at exp(d) M X, whichever of M and d was told last."""
+    pin.seed(4)
+    cell = make_cell(["rx90l", "arm7"])
+    grasp = Grasp((pin.SE3.Random(), pin.SE3.Random()))
+    q, chain = random_q(cell, rng), Chain(cell, grasp)
+    moved, shift = [pin.SE3.Random(), pin.SE3.Random()], 0.1 * rng.normal(size=(2, 6))
+    both = [pin.exp6(d) * M * X for d, M, X in zip(shift, moved, grasp.T_object_tool, strict=True)]
+    expected = Grasp(tuple(both)).carried(CellState(cell, q))
+    other = Chain(cell, grasp)
+    chain.shift_grasp(shift)
+    chain.place(moved)
+    other.place(moved)
+    other.shift_grasp(shift)
+    for O, P, T in zip(chain.carried(q), other.carried(q), expected, strict=True):
+        close(O.homogeneous, T.homogeneous, 1e-12)
+        close(P.homogeneous, T.homogeneous, 1e-12)
+
+
+def test_redundant_arms_move_no_more_than_they_need(make_cell: Any, random_q: RandomQ, rng: Any) -> None:
+    cell = make_cell(["arm7", "gantry7"])
+    chain = Chain(cell, Grasp((np.eye(4), np.eye(4))))
+    assert chain.redundancy == 2
+    chain.linearise(random_q(cell, rng), ABOUT)
+    scale = np.concatenate([scale_of(chain, k) for k in range(2)])
+    v = chain.joint_velocities(rng.uniform(-1, 1, (2, 6)))
+    cost = np.sum((v / scale) ** 2)
+    for _ in range(50):
+        spare = chain.null_part(rng.normal(size=cell.nv))
+        assert np.sum(((v + spare) / scale) ** 2) > cost
+        assert abs(spare @ (v / scale**2)) < 1e-12
+
+
 @pytest.mark.parametrize("apart", [(0,), (1,), (3,), (0, 2), (1, 2, 3)])
 def test_an_arm_apart_moves_no_object_and_the_others_as_without_it(
     apart: tuple[int, ...], make_cell: Any, random_q: RandomQ, rng: Any
@@ -545,45 +443,20 @@ def test_an_arm_apart_moves_no_object_and_the_others_as_without_it(
     W, v = rng.normal(size=(4, 6)), rng.normal(size=cell.nv)
     moved, expected = chain.joint_velocities(W), whole.joint_velocities(W)
     part, null = chain.null_part(v), whole.null_part(v)
-    twists, end, far = chain.twists(v), chain.to_reach_end(), whole.to_reach_end()
+    twists = chain.twists(v)
     for k, s in enumerate(cell.v_slices):
         if k in apart:
             assert not chain.jacobians[k].any()
             assert not moved[s].any()
             assert not twists[k].any()
             close(part[s], v[s], 0.0)
-            assert (end[s] == FAR_EDGE).all()
         else:
             close(moved[s], expected[s], 1e-13)
             close(twists[k], whole.twists(v)[k], 1e-13)
             close(part[s], null[s], 1e-13)
-            close(end[s], far[s], 1e-12)
     assert chain.redundancy == whole.redundancy == 2, "what an arm has to spare does not depend on it"
-    basis, alone = chain.null_basis(), whole.null_basis()
-    for c, k in enumerate((0, 2)):
-        close(basis[:, c], np.zeros(cell.nv) if k in apart else alone[:, c], 1e-13)
     assert chain.deficient == (() if 3 in apart else (3,))
-    assert chain.admissible_twists(np.eye(6))[0].shape == (6, 6 if 3 in apart else 5)
     assert not chain.singular
-
-
-def test_tools_that_move_on_the_object_and_shift_are_both_counted(make_cell: Any, random_q: RandomQ, rng: Any) -> None:
-    """Each arm holds the object at exp(d) M X, whichever of M and d was told last."""
-    pin.seed(4)
-    cell = make_cell(["rx90l", "arm7"])
-    grasp = Grasp((pin.SE3.Random(), pin.SE3.Random()))
-    q, chain = random_q(cell, rng), Chain(cell, grasp)
-    moved, shift = [pin.SE3.Random(), pin.SE3.Random()], 0.1 * rng.normal(size=(2, 6))
-    both = [pin.exp6(d) * M * X for d, M, X in zip(shift, moved, grasp.T_object_tool, strict=True)]
-    expected = Grasp(tuple(both)).carried(CellState(cell, q))
-    other = Chain(cell, grasp)
-    chain.shift_grasp(shift)
-    chain.place(moved)
-    other.place(moved)
-    other.shift_grasp(shift)
-    for O, P, T in zip(chain.carried(q), other.carried(q), expected, strict=True):
-        close(O.homogeneous, T.homogeneous, 1e-12)
-        close(P.homogeneous, T.homogeneous, 1e-12)
 
 
 def test_units_are_the_speeds_of_arms_whose_inverse_depends_on_them(make_cell: Any) -> None:
@@ -594,6 +467,3 @@ def test_units_are_the_speeds_of_arms_whose_inverse_depends_on_them(make_cell: A
     expected = np.where(np.isfinite(velocity), velocity, 1.0)
     expected[cell.v_slices[1]] = 1.0
     close(chain.scale, expected, 0.0)
-    assert is_redundant(cell)
-    assert not is_redundant(make_cell(["rx90l", "arm5"]))
-    assert is_redundant(make_cell(["rx90l", "gantry7"]))

@@ -1,6 +1,6 @@
 """The compiled core by itself: the memory it is given, the numbers in it, and its two arithmetics.
 
-tests/control/test_lockstep.py compares its steps with the plain definition.
+The golden runs and the oracle (tests/golden, tests/oracle) say what its steps are.
 """
 
 from __future__ import annotations
@@ -22,7 +22,6 @@ from coopqp import (
     HoldPath,
     LinePath,
     ObjectPath,
-    QPController,
     QPOptions,
     ServoPath,
     SupervisionOptions,
@@ -54,7 +53,7 @@ def loop_of(
     dt: float | None = None,
     **options: Any,
 ) -> Any:
-    """A compiled loop at the start of the scenario."""
+    """A loop at the start of the scenario."""
     loop = compiled.CompiledLoop(
         task.cell,
         task.grasp,
@@ -161,7 +160,7 @@ def test_it_follows_paths_as_they_say(arithmetic: str, paper: Scenario, rng: np.
 
 
 class Shown(QpSolver):
-    """ProxQP, that keeps the problems it is shown. It is the most exact solver: both loops stay in one state."""
+    """ProxQP, that keeps the problems it is shown. It is the most exact solver."""
 
     name = "shown"
 
@@ -193,44 +192,6 @@ def alike(a: QpProblem, b: QpProblem) -> None:
         np.testing.assert_allclose(one[:, own:], other[:, own:], **close, err_msg=name)
     one, other = a.C[:, 9:own], b.C[:, 9:own]
     np.testing.assert_allclose(one @ one.T, other @ other.T, **close)
-
-
-@pytest.mark.filterwarnings("ignore::coopqp.errors.StartWarning")
-@pytest.mark.skipif(native.GAP > 0, reason="it compares roundings, and the sanitized core is compiled for others")
-@pytest.mark.parametrize("acceleration", [np.inf, 20.0])
-@pytest.mark.parametrize("make", slow_but_first([paper_lift, dual_arm7, mixed_cell, lambda: ring(arms=5)]))
-def test_its_qp_is_that_of_the_program(make: Callable[[], Scenario], acceleration: float) -> None:
-    """With joints outside their limits, and while they come back."""
-    task, path = make(), make().path
-    assert isinstance(path, LinePath)
-    # At full speed from the start: a direction hardly moved along is one of rounding.
-    task = dataclasses.replace(task, path=LinePath(path.start, path.goal, duration=path.duration, time_law="linear"))
-    x, limits = task.cell.positions(task.q_start), task.cell.limits
-    lower, upper = np.array(limits.lower), np.array(limits.upper)
-    upper[1], lower[8] = x[1] - 2e-3, x[8] + 5e-4
-    task = limited(task, lower=lower, upper=upper, velocity=np.minimum(limits.velocity, 1.0), acceleration=acceleration)
-    shown = Shown(), Shown()
-    loops = [
-        QPController(
-            task.cell, task.grasp, task.path, dt=0.005,
-            options=QPOptions(kernel=kernel, shortcut=False, solver=solver),
-        )
-        for kernel, solver in zip(("compiled", "plain"), shown, strict=True)
-    ]  # fmt: skip
-    for loop in loops:
-        loop.reset(task.q_start)
-    sizes = set()
-    q = None
-    for i in range(40):
-        done = [loop.step(q) for loop in loops]
-        q = done[1].q_next if i % 2 else None
-        if i:  # the first step has more than one; of a long one the definition solves all again
-            assert min(len(solver.problems) for solver in shown) >= 1
-            alike(shown[0].problems[-1], shown[1].problems[-1])
-            sizes.add(len(shown[0].problems[-1].b))
-        for solver in shown:
-            solver.problems.clear()
-    assert sizes >= {0, 1}
 
 
 @pytest.mark.parametrize("arithmetic", ARITHMETICS)

@@ -200,7 +200,7 @@ def test_any_strictly_convex_cost(seed: int, spread: float) -> None:
 
 @pytest.mark.parametrize("case", ["corner", "near_singular", "outside", "redundant", "saturated"])
 def test_recorded_problems(case: str) -> None:
-    for one in recorded_qps.record(case, 3, 12)[0].qps:
+    for one in recorded_qps.record(case, 3, 12).qps:
         solution = make_solver("ldp").solve(one.problem)
         assert residual(one.problem, solution) <= 1e-13
         for name in OTHERS:
@@ -351,17 +351,3 @@ def test_independent_arms_may_share_a_solver() -> None:
         controller.reset(lift.q_start)
         commands.append([controller.step() for _ in range(5)][-1].q_next)
     np.testing.assert_allclose(commands[0], commands[1], rtol=0.0, atol=1e-12)
-
-
-def test_the_full_form_needs_another_solver() -> None:
-    lift = fast_lift()
-
-    def build(solver: str) -> QPController:
-        options = QPOptions(solver=solver, form="full", shortcut=False)
-        return QPController(lift.cell, lift.grasp, lift.path, dt=lift.dt, options=options)
-
-    with pytest.raises(InvalidInputError, match="strictly convex"):
-        build("ldp")
-    controller = build("auto")
-    controller.reset(lift.q_start)
-    assert controller.step().solver.name == "daqp"

@@ -10,7 +10,6 @@ from pathlib import Path
 import numpy as np
 import pinocchio as pin
 import pytest
-from marks import slow_but_first
 from places import BAR
 
 from coopqp import (
@@ -95,8 +94,7 @@ def test_the_verdict_of_a_plan_is_that_of_the_check() -> None:
         plan(cell, task.grasp, task.path, q_start=task.q_start, scene=scene)
 
 
-@pytest.mark.parametrize("kernel", slow_but_first(["auto", "plain"]))
-def test_a_plan_beside_bodies_is_tracked_at_full_rate(kernel: str) -> None:
+def test_a_plan_beside_bodies_is_tracked_at_full_rate() -> None:
     """Within the comfort of the controller's clearance, but outside the margin: elbows move as they were planned."""
     task = forearms()
     cell = task.cell.with_limits(acceleration=5.0)
@@ -109,17 +107,14 @@ def test_a_plan_beside_bodies_is_tracked_at_full_rate(kernel: str) -> None:
     assert again.keeps_clear
     slowed = []
     for path in (again, TimedPath.of_record({**made.path.record(), "keeps_clear": False})):
-        controller = QPController(
-            cell, task.grasp, path, dt=0.01, constraints=[Clearance(scene)], options=QPOptions(kernel=kernel)
-        )
+        controller = QPController(cell, task.grasp, path, dt=0.01, constraints=[Clearance(scene)], options=QPOptions())
         run = simulate(controller, q_start=made.q_start)
         slowed.append(int((np.asarray(run.rate) < 1.0 - 1e-9).sum()))
     assert slowed[0] == 0
     assert slowed[1] > 0  # evading, it would be
 
 
-@pytest.mark.parametrize("kernel", slow_but_first(["auto", "plain"]))
-def test_elbows_that_have_to_evade_are_planned_to(kernel: str) -> None:
+def test_elbows_that_have_to_evade_are_planned_to() -> None:
     """Their least motion would touch the knob: another one is timed, and the run follows it at full rate."""
     task = elbow_and_knob()
     cell = task.cell.with_limits(acceleration=5.0)
@@ -132,9 +127,7 @@ def test_elbows_that_have_to_evade_are_planned_to(kernel: str) -> None:
     assert path.elbows is not None
     assert made.path.elbows is not None
     np.testing.assert_array_equal(path.elbows.packed(), made.path.elbows.packed())
-    controller = QPController(
-        cell, task.grasp, path, dt=0.004, constraints=[Clearance(scene)], options=QPOptions(kernel=kernel)
-    )
+    controller = QPController(cell, task.grasp, path, dt=0.004, constraints=[Clearance(scene)], options=QPOptions())
     run = simulate(controller, q_start=made.q_start)
     assert run.finished
     assert (np.asarray(run.rate) >= 1.0 - 1e-9).all()

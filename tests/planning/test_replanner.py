@@ -23,7 +23,6 @@ from coopqp import (
 )
 from coopqp.collision import Body, Box
 from coopqp.errors import CoopqpError
-from coopqp.native import available_kernels
 from coopqp.scenarios import Scenario
 
 DT, MARGIN = 0.004, 0.01
@@ -88,7 +87,6 @@ def run(cell: Any, controller: QPController, replanner: Replanner, *, place: pin
 
 
 @pytest.mark.slow
-@pytest.mark.skipif("compiled" not in available_kernels(), reason="one search takes longer than the way ahead")
 def test_the_object_goes_round_a_body_in_its_way_without_a_stop(cell: Any) -> None:
     controller = controller_of(cell)
     replanner = Replanner(controller, cell[2], simulated=True)

@@ -13,7 +13,6 @@ import numpy as np
 import pinocchio as pin
 import pytest
 from cells import one_arm_file
-from marks import slow_but_first
 from user_cells import CELLS, build
 
 from coopqp import (
@@ -36,7 +35,6 @@ from coopqp.files import CellFileError
 from coopqp.model import CellState
 from coopqp.model.batch import ArmKinematics
 from coopqp.model.branches import find_branches
-from coopqp.native import available_kernels
 from coopqp.planning.arm_starts import arm_on_path
 from coopqp.scenarios import Scenario, dual_arm7, mixed_cell, paper_lift, robot_path, scara_pair
 
@@ -297,14 +295,13 @@ def test_simulate_finds_a_start(paper: Scenario) -> None:
 
 
 @pytest.mark.filterwarnings("ignore::coopqp.errors.StartWarning")
-@pytest.mark.parametrize("kernel", slow_but_first(available_kernels()))
-def test_a_start_outside_limits_is_said_until_the_arm_is_inside(paper: Scenario, kernel: Any) -> None:
+def test_a_start_outside_limits_is_said_until_the_arm_is_inside(paper: Scenario) -> None:
     """The limit of one joint is 1° on the inner side of its start, or 20°."""
     for degrees, comes_inside in ((1.0, True), (20.0, False)):
         upper = paper.cell.limits.upper.copy()
         upper[8] = paper.q_start[8] - np.deg2rad(degrees)
         cell = paper.cell.with_limits(upper=upper)
-        options = QPOptions(kernel=kernel)
+        options = QPOptions()
         controller = QPController(cell, paper.grasp, HoldPath(paper.path.start), dt=0.01, options=options)
         controller.reset(paper.q_start)
         first = controller.step()

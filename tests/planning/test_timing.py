@@ -9,7 +9,6 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 import pytest
-from marks import slow_but_first
 from runs import limited
 
 from coopqp import (
@@ -27,7 +26,6 @@ from coopqp import (
 )
 from coopqp.errors import UnreachableError
 from coopqp.model import CellState
-from coopqp.native import available_kernels
 from coopqp.paths import PathGeometry, SpeedProfile
 from coopqp.paths.geometry import blended, piece_of
 from coopqp.planning import Payload, time_path
@@ -375,9 +373,9 @@ def test_a_path_rests_at_corners() -> None:
 # -- in the controller -----------------------------------------------------------------------------------------------
 
 
-def run(scenario: Scenario, path: ObjectPath, *, dt: float, kernel: str = "auto") -> tuple[list[Any], float, float]:
+def run(scenario: Scenario, path: ObjectPath, *, dt: float) -> tuple[list[Any], float, float]:
     """Steps to the end, and the largest chain and path errors [m]."""
-    controller = QPController(scenario.cell, scenario.grasp, path, dt=dt, options=QPOptions(kernel=kernel))  # type: ignore[arg-type]
+    controller = QPController(scenario.cell, scenario.grasp, path, dt=dt, options=QPOptions())  # type: ignore[arg-type]
     controller.reset(scenario.q_start)
     steps, chain, away = [], 0.0, 0.0
     while not steps or not steps[-1].finished:
@@ -391,11 +389,10 @@ def run(scenario: Scenario, path: ObjectPath, *, dt: float, kernel: str = "auto"
 
 
 @pytest.mark.parametrize("build", [lambda: ring(arms=2), dual_arm7, mixed_cell])
-@pytest.mark.parametrize("kernel", slow_but_first(available_kernels()))
-def test_a_controller_tracks_it_at_full_rate_all_along(build: Any, kernel: str) -> None:
+def test_a_controller_tracks_it_at_full_rate_all_along(build: Any) -> None:
     scenario = limited(build(), 5.0)
     path = plan_of(scenario)
-    steps, chain, away = run(scenario, path, dt=0.004, kernel=kernel)
+    steps, chain, away = run(scenario, path, dt=0.004)
     assert {s.status for s in steps} == {Status.TRACKING}
     assert all(s.rate == 1.0 for s in steps)
     assert chain < UM
@@ -475,10 +472,9 @@ def test_a_path_of_ones_own_may_say_what_it_was_planned_with() -> None:
             QPController(scenario.cell, scenario.grasp, own, dt=0.01)
 
 
-@pytest.mark.parametrize("kernel", available_kernels())
-def test_the_settings_of_a_planned_path_end_with_it(kernel: str) -> None:
+def test_the_settings_of_a_planned_path_end_with_it() -> None:
     scenario = limited(dual_arm7(), 5.0)
-    options = QPOptions(kernel=kernel, posture={"gain": 1.0})  # type: ignore[arg-type]
+    options = QPOptions(posture={"gain": 1.0})  # type: ignore[arg-type]
     fresh = QPController(scenario.cell, scenario.grasp, scenario.path, dt=0.01, options=options)
     used = QPController(scenario.cell, scenario.grasp, plan_of(scenario), dt=0.01, options=options)
     used.reset(scenario.q_start)

@@ -9,16 +9,12 @@ import numpy as np
 import pinocchio as pin
 import pytest
 from golden import Golden
-from marks import slow_but_first
 from runs import limited_once
 
 from coopqp import Cause, ControlStep, InvalidInputError, QPController, Status, inverse_kinematics
-from coopqp.native import available_kernels
 from coopqp.programs import Phase, Program, Travels
 from coopqp.scenarios import paper_lift
 
-KERNELS = available_kernels()
-both = pytest.mark.parametrize("kernel", slow_but_first(KERNELS))
 ATTACHES = 2.0
 DT = 0.005
 
@@ -44,8 +40,8 @@ def away(task: Any, program: Program, step: ControlStep, way: tuple[float, float
     return inverse_kinematics(task.cell, type(grasp)(tuple(X)), program.pose(clock), step.q_next)
 
 
-def controller_of(task: Any, program: Program, kernel: str) -> QPController:
-    options = {"kernel": kernel, "supervision": {"slow_from": None, "stall_samples": None}}
+def controller_of(task: Any, program: Program) -> QPController:
+    options = {"supervision": {"slow_from": None, "stall_samples": None}}
     controller = QPController(task.cell, task.grasp, program, dt=DT, options=options)
     controller.reset(task.q_start)
     return controller
@@ -62,10 +58,9 @@ def to_the_attachment(
     return steps, measured
 
 
-@both
-def test_an_arm_too_far_from_its_grasp_is_not_attached(kernel: str) -> None:
+def test_an_arm_too_far_from_its_grasp_is_not_attached() -> None:
     task, program = regrasp()
-    controller = controller_of(task, program, kernel)
+    controller = controller_of(task, program)
     steps, _ = to_the_attachment(task, program, controller, (0.003, 0.0, 0.0))
     held = [step for step in steps if step.status is Status.HOLDING]
     assert held
@@ -81,11 +76,10 @@ def test_an_arm_too_far_from_its_grasp_is_not_attached(kernel: str) -> None:
         assert steps[-1].clock_next > ATTACHES + 0.02 or steps[-1].rate > 0.1
 
 
-@both
-def test_an_arm_near_its_grasp_is_latched_where_it_is(kernel: str) -> None:
+def test_an_arm_near_its_grasp_is_latched_where_it_is() -> None:
     """The commands do not change, though the third arm's view of the object counts from then on."""
     task, program = regrasp()
-    straight, elsewhere = (controller_of(task, program, kernel) for _ in range(2))
+    straight, elsewhere = (controller_of(task, program) for _ in range(2))
     steps, _ = to_the_attachment(task, program, elsewhere, (0.0015, 0.0, 0.001))
     assert all(step.status is not Status.HOLDING for step in steps)
     same = [straight.step(straight.commanded) for _ in steps]
@@ -93,13 +87,12 @@ def test_an_arm_near_its_grasp_is_latched_where_it_is(kernel: str) -> None:
     assert np.abs(steps[-1].q_next - same[-1].q_next).max() < 1e-9
 
 
-@both
-def test_the_tolerance_is_the_programs(kernel: str) -> None:
+def test_the_tolerance_is_the_programs() -> None:
     task, program = regrasp(attach_m=0.001)
-    steps, _ = to_the_attachment(task, program, controller_of(task, program, kernel), (0.0015, 0.0, 0.0))
+    steps, _ = to_the_attachment(task, program, controller_of(task, program), (0.0015, 0.0, 0.0))
     assert steps[-1].status is Status.HOLDING
     task, program = regrasp(attach_m=0.01, attach_rad=0.001)
-    steps, _ = to_the_attachment(task, program, controller_of(task, program, kernel), (0.0015, 0.0, 0.0))
+    steps, _ = to_the_attachment(task, program, controller_of(task, program), (0.0015, 0.0, 0.0))
     assert steps[-1].status is not Status.HOLDING
 
 
@@ -113,7 +106,7 @@ def test_a_tolerance_is_more_than_nothing() -> None:
 def test_where_arms_let_go_and_attach_as_recorded(golden: Golden) -> None:
     """Also on the way back, and where measured arms are elsewhere by different amounts."""
     task, program = regrasp()
-    done = golden.of(controller_of(task, program, golden.kernel))
+    done = golden.of(controller_of(task, program))
     for i in range(700):
         if i == 500:
             done.ask(lambda controller: controller.reverse(0.5))

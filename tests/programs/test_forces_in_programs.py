@@ -25,7 +25,6 @@ from coopqp import (
     simulate,
 )
 from coopqp.forces import Grip
-from coopqp.native import available_kernels
 from coopqp.planning import Payload
 from coopqp.programs import Phase, Program, Travels
 from coopqp.scenarios import Scenario, hand_over, palm_box, paper_lift, pliers
@@ -56,8 +55,8 @@ def regrasp(*, leads: bool = False, until: str | None = None, seconds: float = 1
     return replace(task, path=Program(task.cell, task.grasp, phases))
 
 
-def minding(task: Scenario, *, kernel: str = "auto", **options: Any) -> ForceController:
-    alone = {"kernel": kernel, "supervision": {"slow_from": None}}  # no chain closes over what is measured here
+def minding(task: Scenario, **options: Any) -> ForceController:
+    alone = {"supervision": {"slow_from": None}}  # no chain closes over what is measured here
     inner = QPController(task.cell, task.grasp, task.path, dt=0.004, options=alone)
     quick = {
         "stiffness": 1e5 if len(task.cell) < 3 else SERVOS,
@@ -162,12 +161,11 @@ def test_limits_hold_and_copies_go_on_through_phases(seed: int, leads: bool) -> 
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("kernel", available_kernels())
-def test_the_sensor_of_an_arm_that_does_not_hold_counts_for_nothing(kernel: str) -> None:
+def test_the_sensor_of_an_arm_that_does_not_hold_counts_for_nothing() -> None:
     task = regrasp(seconds=0.8)
     runs = []
     for free in ("nothing", "anything", "lost"):
-        made, script = minding(task, kernel=kernel, **PATIENT), Script(task, 0, free)
+        made, script = minding(task, **PATIENT), Script(task, 0, free)
         q, told = task.q_start, list[Any]()
         made.reset(q)
         for _ in range(600):
@@ -182,7 +180,7 @@ def test_the_sensor_of_an_arm_that_does_not_hold_counts_for_nothing(kernel: str)
 @pytest.mark.core
 def test_forces_where_arms_let_go_as_recorded(golden: Golden) -> None:
     task = regrasp(seconds=0.6)
-    done, script = golden.of(minding(task, kernel=golden.kernel, **PATIENT), 1e-8), Script(task, 3, "anything")
+    done, script = golden.of(minding(task, **PATIENT), 1e-8), Script(task, 3, "anything")
     done.controller.reset(task.q_start)
     q = task.q_start
     for _ in range(1500):

@@ -1,4 +1,4 @@
-"""Tools that move on the object: their formulas, both kernels in lockstep, and how far arms are apart."""
+"""Tools that move on the object: their formulas, recorded steps, and how far arms are apart."""
 
 from __future__ import annotations
 
@@ -8,12 +8,10 @@ import numpy as np
 import pinocchio as pin
 import pytest
 from golden import Golden
-from marks import slow_but_first
 from runs import limited_once
 
 from coopqp import Grasp, InvalidInputError, LinePath, QPController, WaypointPath, check_path
 from coopqp.baselines import PseudoInverseController
-from coopqp.native import available_kernels
 from coopqp.paths import Section
 from coopqp.paths.grasp_motion import GraspMotion
 from coopqp.paths.moving_grasps import pieces_of
@@ -24,8 +22,6 @@ from coopqp.scenarios import paper_lift
 from coopqp.simulation import Monitor, check_run, read_run, simulate
 from coopqp.simulation.simulate import RunRecorder
 
-KERNELS = available_kernels()
-both = pytest.mark.parametrize("kernel", slow_but_first(KERNELS))
 PIN = (0.0, 0.8, 0.0)
 
 
@@ -134,11 +130,9 @@ def test_bounds_of_a_tool_that_moves_on_a_moving_object_hold(rng: np.random.Gene
         assert (np.linalg.norm(bend[:, 3:], axis=1) <= bounds.turn_change + 1e-5).all()
 
 
-@both
-def test_two_arms_open_a_part_while_a_third_lifts_it(kernel: str) -> None:
+def test_two_arms_open_a_part_while_a_third_lifts_it() -> None:
     task, program = pliers()
-    controller = QPController(task.cell, task.grasp, program, dt=0.005, options={"kernel": kernel})
-    assert controller.kernel == kernel
+    controller = QPController(task.cell, task.grasp, program, dt=0.005, options={})
     monitor = Monitor(task.cell, task.grasp)
     controller.reset(task.q_start)
     rng, away, done = np.random.default_rng(3), 0.0, False
@@ -169,7 +163,7 @@ def test_two_arms_open_a_part_while_a_third_lifts_it(kernel: str) -> None:
 @pytest.mark.core
 def test_tools_that_move_as_recorded(golden: Golden) -> None:
     task, program = pliers()
-    controller = QPController(task.cell, task.grasp, program, dt=0.006, options={"kernel": golden.kernel})
+    controller = QPController(task.cell, task.grasp, program, dt=0.006, options={})
     controller.reset(task.q_start)
     done = golden.of(controller)
     asked = {120: lambda made: made.set_override(0.3), 220: lambda made: made.reverse()}

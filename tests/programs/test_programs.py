@@ -10,19 +10,15 @@ import numpy as np
 import pinocchio as pin
 import pytest
 from golden import Golden
-from marks import slow_but_first
 from runs import limited_once
 
 from coopqp import ControlStep, Grasp, HoldPath, InvalidInputError, LinePath, QPController, Status, check_path
 from coopqp.errors import UnknownNameError
 from coopqp.forces import ForceOptions
-from coopqp.native import available_kernels
 from coopqp.programs import Holds, Phase, Program, Travels, Turns, Waits, Works
 from coopqp.scenarios import PROGRAMS, paper_lift
 from coopqp.simulation import check_run, simulate
 
-KERNELS = available_kernels()
-both = pytest.mark.parametrize("kernel", slow_but_first(KERNELS))
 GATE = 1.0
 
 
@@ -40,8 +36,8 @@ def two_halves(**more: Any) -> tuple[Any, Program]:
     return task, Program(task.cell, task.grasp, phases, **more)
 
 
-def started(task: Any, program: Program, kernel: str = "auto", dt: float = 0.005) -> QPController:
-    controller = QPController(task.cell, task.grasp, program, dt=dt, options={"kernel": kernel})
+def started(task: Any, program: Program, dt: float = 0.005) -> QPController:
+    controller = QPController(task.cell, task.grasp, program, dt=dt, options={})
     controller.reset(task.q_start)
     return controller
 
@@ -63,20 +59,18 @@ def off_path(task: Any, program: Program, step: ControlStep) -> float:
     return max(float(np.linalg.norm((pose * X).translation - p)) for X, p in zip(placed, tools, strict=True))
 
 
-@both
-def test_a_signal_in_time_leaves_the_path_speed_unbroken(kernel: str) -> None:
+def test_a_signal_in_time_leaves_the_path_speed_unbroken() -> None:
     task, program = two_halves()
-    controller = started(task, program, kernel)
-    whole = started(task, Program(task.cell, task.grasp, [Phase("up", path=task.path)]), kernel)
+    controller = started(task, program)
+    whole = started(task, Program(task.cell, task.grasp, [Phase("up", path=task.path)]))
     controller.signal("closed")
     for _ in range(450):
         assert abs(controller.step().rate - whole.step().rate) < 1e-4
 
 
-@both
-def test_a_late_signal_lets_the_object_go_on_from_where_it_is(kernel: str) -> None:
+def test_a_late_signal_lets_the_object_go_on_from_where_it_is() -> None:
     task, program = two_halves()
-    controller = started(task, program, kernel)
+    controller = started(task, program)
     rates = []
     for _ in range(2000):
         rates.append(controller.step().rate)
@@ -89,10 +83,9 @@ def test_a_late_signal_lets_the_object_go_on_from_where_it_is(kernel: str) -> No
     assert run(controller)[-1].finished
 
 
-@both
-def test_without_its_signal_the_object_rests_at_the_gate_and_says_for_what_it_waits(kernel: str) -> None:
+def test_without_its_signal_the_object_rests_at_the_gate_and_says_for_what_it_waits() -> None:
     task, program = two_halves()
-    controller = started(task, program, kernel)
+    controller = started(task, program)
     steps = run(controller, most=600)
     assert steps[-1].status is Status.WAITING
     assert "closed" in steps[-1].reason
@@ -229,7 +222,6 @@ def test_forces_are_taken_where_arms_let_go_before_they_move() -> None:
 def test_every_scenario_that_is_a_program_runs_to_its_end(name: str) -> None:
     task = PROGRAMS[name]()
     controller = QPController(task.cell, task.grasp, task.path, dt=0.01)
-    assert controller.kernel == KERNELS[0]
     recording = simulate(controller, q_start=task.q_start)
     assert recording.metadata["finished"]
     assert check_run(recording, task.cell).ok
@@ -240,7 +232,7 @@ def test_every_scenario_that_is_a_program_runs_to_its_end(name: str) -> None:
 @pytest.mark.parametrize("name", PROGRAMS)
 def test_every_program_as_recorded(name: str, golden: Golden) -> None:
     task = PROGRAMS[name]()
-    controller = QPController(task.cell, task.grasp, task.path, dt=0.01, options={"kernel": golden.kernel})
+    controller = QPController(task.cell, task.grasp, task.path, dt=0.01, options={})
     controller.reset(task.q_start)
     golden.of(controller, 1e-8).run(150)
 

@@ -8,17 +8,12 @@ import numpy as np
 import pinocchio as pin
 import pytest
 from golden import Golden
-from marks import slow_but_first
 from runs import limited_once
 
 from coopqp import ControlStep, LinePath, QPController, Status, inverse_kinematics
-from coopqp.control.monitoring.drift import Drift, from_others
-from coopqp.native import available_kernels
 from coopqp.programs import Phase, Program, Travels
 from coopqp.scenarios import paper_lift
 
-KERNELS = available_kernels()
-both = pytest.mark.parametrize("kernel", slow_but_first(KERNELS))
 DT = 0.005
 
 
@@ -32,10 +27,8 @@ def carried_on() -> tuple[Any, Program]:
     return task, Program(task.cell, task.grasp, phases)
 
 
-def controller_of(task: Any, program: Program, kernel: str, **supervision: Any) -> QPController:
-    controller = QPController(
-        task.cell, task.grasp, program, dt=DT, options={"kernel": kernel, "supervision": supervision}
-    )
+def controller_of(task: Any, program: Program, **supervision: Any) -> QPController:
+    controller = QPController(task.cell, task.grasp, program, dt=DT, options={"supervision": supervision})
     controller.reset(task.q_start)
     return controller
 
@@ -56,34 +49,31 @@ def run(task: Any, program: Program, controller: QPController, ways: Any, second
     return steps
 
 
-@both
-def test_an_arm_that_has_let_go_slows_nobody(kernel: str) -> None:
+def test_an_arm_that_has_let_go_slows_nobody() -> None:
     task, program = carried_on()
     attaches = program.grasps.changes[-1]
     free = program.grasps.holds(0.5 * attaches)
     assert not free[2]
     off = lambda clock: {2: (0.0, 0.006 * np.sin(np.pi * min(clock / attaches, 1.0)), 0.0)}  # noqa: E731
-    steps = run(task, program, controller_of(task, program, kernel), off, attaches + 0.5)
+    steps = run(task, program, controller_of(task, program), off, attaches + 0.5)
     assert all(step.status is Status.TRACKING and step.rate > 1.0 - 1e-6 for step in steps[3:])
 
 
-@both
-def test_arms_that_hold_are_compared_while_another_has_let_go(kernel: str) -> None:
+def test_arms_that_hold_are_compared_while_another_has_let_go() -> None:
     task, program = carried_on()
     off = lambda clock: {1: (0.0, 0.0, min(0.002 * clock, 0.002))}  # noqa: E731
-    steps = run(task, program, controller_of(task, program, kernel, let_in=0.0), off, 1.2)
+    steps = run(task, program, controller_of(task, program, let_in=0.0), off, 1.2)
     slowed = next(step for step in steps if step.status is not Status.TRACKING)
     assert "slave_1" in slowed.explain()
     assert steps[-1].rate < 0.05
 
 
-@both
-def test_an_arm_that_attaches_is_in_step_where_it_is(kernel: str) -> None:
+def test_an_arm_that_attaches_is_in_step_where_it_is() -> None:
     """1.5 mm from its grasp, which is twice what would hold the object, it holds on there; what comes later counts."""
     task, program = carried_on()
     attaches = program.grasps.changes[-1]
     off = lambda clock: {2: (0.0015, 0.0, 0.0 if clock < attaches + 0.4 else 0.003)}  # noqa: E731
-    steps = run(task, program, controller_of(task, program, kernel), off, attaches + 0.6)
+    steps = run(task, program, controller_of(task, program), off, attaches + 0.6)
     early = [step for step in steps if step.clock < attaches + 0.35]
     assert all(step.status is Status.TRACKING for step in early[3:])
     assert "slave_2" in next(step for step in steps[len(early) :] if step.status is not Status.TRACKING).explain()
@@ -93,31 +83,9 @@ def test_an_arm_that_attaches_is_in_step_where_it_is(kernel: str) -> None:
 @pytest.mark.parametrize("stiffness", [None, 3e4])
 def test_arms_that_hold_are_watched_as_recorded(stiffness: float | None, golden: Golden) -> None:
     task, program = carried_on()
-    done = golden.of(controller_of(task, program, golden.kernel, stiffness=stiffness))
+    done = golden.of(controller_of(task, program, stiffness=stiffness))
     attaches = program.grasps.changes[-1]
     for i in range(round((attaches + 1.0) / DT)):
         wave = 4e-4 * np.sin(0.01 * i + np.arange(task.cell.nq)) * (np.arange(task.cell.nq) >= 6 * (i // 200 % 2))
         done.take(done.controller.commanded + wave + 1e-5 * np.cos(0.7 * i))
     assert done.seen != {Status.TRACKING}
-
-
-def test_what_is_out_of_step_does_not_change_where_other_arms_hold(rng: np.random.Generator) -> None:
-    """Of arms that go on: against a direct count of their distances without the drift, before and after."""
-    for _ in range(50):
-        n = int(rng.integers(2, 7))
-        before, now = (rng.random(n) < 0.7 for _ in range(2))
-        go_on = before & now
-        if go_on.sum() < 2:
-            continue
-        drift = Drift(n, 100.0)
-        deviation, base = rng.normal(size=(2, n, 6))
-        drift._drift = from_others(before) @ base
-        drift.take_over(deviation, before, now)
-        rest = deviation - base
-        rest = rest - rest[go_on].mean(axis=0)  # of those that go on, from each other
-        new = from_others(now) @ deviation - drift._drift
-        new = new - new[go_on].mean(axis=0)
-        scale = now.sum() / (now.sum() - 1.0)
-        np.testing.assert_allclose(new[go_on], scale * rest[go_on], atol=1e-12)
-        attached = now & ~before
-        np.testing.assert_allclose((from_others(now) @ deviation - drift._drift)[attached], 0.0, atol=1e-12)

@@ -94,7 +94,8 @@ def test_importing_says_nothing() -> None:
 
 
 @pytest.mark.parametrize(
-    "first", slow_but_first(["coopqp.collision.clearance", "coopqp.control.step.verdict", "coopqp.control.step.plain"])
+    "first",
+    slow_but_first(["coopqp.collision.clearance", "coopqp.control.core.compiled"]),
 )
 def test_no_room_has_to_be_imported_before_another(first: str) -> None:
     """The command imports bodies before controllers, programs the other way round."""

@@ -15,7 +15,6 @@ import numpy as np
 import pytest
 
 from coopqp import QPController, QPOptions, SupervisionOptions
-from coopqp.native import available_kernels
 from coopqp.scenarios import Scenario, fast_lift, paper_lift
 
 
@@ -60,21 +59,20 @@ def collections() -> Iterator[list[tuple[int, int]]]:
 @pytest.mark.slow
 def test_steps_leave_nothing_to_collect(collections: list[tuple[int, int]], catalogue: Any, count: Any) -> None:
     steps, cases, left = count(1000), 0, 0
-    for kernel in available_kernels():
-        for make, options, measure in CASES.values():
-            task = replace(make(), dt=1e-3)
-            made = QPOptions(kernel=kernel, **options)
-            controller = QPController(task.cell, task.grasp, task.path, dt=task.dt, options=made)
-            controller.reset(task.q_start)
-            step = controller.step()
-            gc.collect()
-            collections.clear()
-            for _ in range(steps):
-                step = controller.step(measure(step.q_next))
-            assert all(generation < 2 for generation, _ in collections)
-            gc.collect()
-            left += sum(freed for _, freed in collections)
-            cases += steps
+    for make, options, measure in CASES.values():
+        task = replace(make(), dt=1e-3)
+        made = QPOptions(**options)
+        controller = QPController(task.cell, task.grasp, task.path, dt=task.dt, options=made)
+        controller.reset(task.q_start)
+        step = controller.step()
+        gc.collect()
+        collections.clear()
+        for _ in range(steps):
+            step = controller.step(measure(step.q_next))
+        assert all(generation < 2 for generation, _ in collections)
+        gc.collect()
+        left += sum(freed for _, freed in collections)
+        cases += steps
     name = "objects of steps that only the garbage collector could free"
     catalogue.row("F", name, cases=cases, measured=left, target=0)
 

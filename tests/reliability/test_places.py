@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import itertools
 from typing import Any
 
 import numpy as np
@@ -11,12 +10,10 @@ import pinocchio as pin
 import pytest
 
 from coopqp import ControlStep, Grasp, LinePath, QPController, QPOptions, RobotCell
-from coopqp.native import available_kernels
 from coopqp.scenarios import Scenario, at_limit, at_singularity, dual_arm7, mixed_cell, paper_lift
 
 DT = 0.005
 STEPS = 300
-KERNELS = available_kernels()
 
 
 def line_of(task: Scenario) -> LinePath:
@@ -48,10 +45,9 @@ def apart(task: Scenario, distance: float) -> Scenario:
     return dataclasses.replace(task, cell=RobotCell(arms), grasp=Grasp(tuple(tools)), path=path)
 
 
-def run(task: Scenario, kernel: str, noise: float = 0.0, override: bool = False, **options: Any) -> list[ControlStep]:
-    made = QPOptions(kernel=kernel, **options)
+def run(task: Scenario, noise: float = 0.0, override: bool = False, **options: Any) -> list[ControlStep]:
+    made = QPOptions(**options)
     controller = QPController(task.cell, task.grasp, task.path, dt=DT, options=made)
-    assert controller.kernel == kernel  # wherever it stands
     controller.reset(task.q_start)
     rng, q, steps = np.random.default_rng(1), None, []
     for i in range(STEPS):
@@ -76,35 +72,32 @@ def moving(first: list[ControlStep], steps: list[ControlStep]) -> list[ControlSt
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("kernel", KERNELS)
-def test_the_worlds_origin_is_somewhere_else(kernel: str, catalogue: Any, count: Any) -> None:
-    """The definition takes a hundred times as long: its cases take accelerations and distances in turn."""
+def test_the_worlds_origin_is_somewhere_else(catalogue: Any, count: Any) -> None:
     rng = np.random.default_rng(0)
     makes = (
         paper_lift, dual_arm7, mixed_cell, lambda: at_limit(direction=(0.1, 0.05, 1.0)),
         lambda: at_singularity("elbow"), lambda: at_singularity(miss=0.1),
     )  # fmt: skip
     largest = {10.0: 0.0, 1e3: 0.0, 1e4: 0.0}
-    turns, either = itertools.cycle(largest), itertools.cycle(((np.inf,), (10.0,)))
     other, cases, close = 0, 0, 0.0
     for make in makes:
-        for acceleration in next(either) if kernel == "plain" else (np.inf, 10.0):
+        for acceleration in (np.inf, 10.0):
             task = make()
             task = dataclasses.replace(task, cell=task.cell.with_limits(acceleration=acceleration))
             for how in ({}, {"noise": 1e-4}, {"shortcut": False}, {"override": True}):
-                here = run(task, kernel, **how)
-                for distance in (next(turns),) if kernel == "plain" else tuple(largest):
+                here = run(task, **how)
+                for distance in largest:
                     for _ in range(count(1)):
                         way = rng.standard_normal(3)
                         turn = pin.exp3(rng.uniform(-2.0, 2.0, 3))
                         T = pin.SE3(turn, distance * way / np.linalg.norm(way))
-                        there = run(elsewhere(task, T), kernel, **how)
+                        there = run(elsewhere(task, T), **how)
                         off, differ = compare(here, there)
                         largest[distance] = max(largest[distance], off)
                         if distance == 10.0:
                             close = max(close, compare(moving(here, here), moving(here, there))[0])
                         other, cases = other + differ, cases + STEPS
-    name = f"the world's origin 10 m to 10 km away, {kernel}"
+    name = "the world's origin 10 m to 10 km away"
     note = ", ".join(f"{off:.1e} at {distance:g} m" for distance, off in largest.items())
     what = f"{name}: other joint velocities"
     catalogue.row("I6", what, cases=cases, measured=max(largest.values()), target=1e-6, unit="rad/s", note=note)
@@ -113,18 +106,15 @@ def test_the_worlds_origin_is_somewhere_else(kernel: str, catalogue: Any, count:
     catalogue.row("I6", f"{name}: another status, or another cause", cases=cases, measured=other, target=0)
 
 
-@pytest.mark.parametrize("kernel", [pytest.param(k, marks=pytest.mark.slow) if k == "plain" else k for k in KERNELS])
-def test_the_arms_are_far_from_each_other(kernel: str, catalogue: Any) -> None:
+def test_the_arms_are_far_from_each_other(catalogue: Any) -> None:
     worst, other, cases, parted = 0.0, 0, 0, 0.0
-    distances = (10.0, 100.0, 1000.0)
-    turns = itertools.cycle(distances)
     for make in (paper_lift, dual_arm7, mixed_cell):
         near = apart(make(), 0.0)
         for options in ({}, {"shortcut": False}):
-            here = run(near, kernel, **options)
-            for distance in (next(turns),) if kernel == "plain" else distances:
+            here = run(near, **options)
+            for distance in (10.0, 100.0, 1000.0):
                 task = apart(near, distance)
-                there = run(task, kernel, **options)
+                there = run(task, **options)
                 off, differ = compare(here, there)
                 worst, other, cases = max(worst, off), other + differ, cases + STEPS
                 points = [X.translation for X in task.grasp.T_object_tool]
@@ -132,7 +122,7 @@ def test_the_arms_are_far_from_each_other(kernel: str, catalogue: Any) -> None:
                     O = task.grasp.carried(step.state)
                     at = np.array([[T.act(p) for p in points] for T in O])
                     parted = max(parted, float(np.linalg.norm(at - at[0], axis=2).max()))
-    name = f"arms 10 m to 1 km from each other, {kernel}"
+    name = "arms 10 m to 1 km from each other"
     note = f"at the grasps they part by {1e3 * parted:.1e} mm"
     what = f"{name}: other joint velocities"
     catalogue.row("I6", what, cases=cases, measured=worst, target=5e-9, unit="rad/s", note=note)

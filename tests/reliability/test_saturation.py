@@ -117,9 +117,8 @@ def sharing(catalogue: Any, what: str, found: list[Sharing], note: str = "") -> 
 def test_random_paths_too_fast(
     acceleration: float, count: Callable[[int], int], catalogue: Any, rng: np.random.Generator
 ) -> None:
-    """With one linearisation, a jump of joint velocities leaves a larger chain error in its step, which is judged."""
+    """Path speeds differ by up to 1e-5 where joint velocities jump (docs/reliability.md); the arms do not part."""
     found: list[Sharing] = []
-    single: list[Sharing] = []
     for i in range(count(4)):
         base = (paper_lift, ring, dual_arm7, mixed_cell)[i % 4]()
         path = LinePath.displaced(
@@ -130,12 +129,9 @@ def test_random_paths_too_fast(
             time_law="linear" if i % 2 else "quintic",
         )
         task = limited(replace(base, path=path, dt=0.001), acceleration=acceleration)
-        peak = needed_speeds(task)
-        found.append(slows_together(cooperative, task, 0.6, peak=peak, iterations=2))
-        single.append(slows_together(cooperative, task, 0.6, peak=peak))
-    note = f"two linearisations a step; {max(s.spread for s in single):.1g} with one, the default"
-    limit = "speed" if np.isinf(acceleration) else "speed and acceleration"
-    sharing(catalogue, f"random paths, {limit} limited", found, note)
-    chain = max(s.chain_mm for s in single)
-    name = f"random paths, {limit} limited, one linearisation: chain error"
-    catalogue.row("A9", name, cases=sum(s.steps for s in single), measured=chain, target=3e-4, unit="mm")
+        found.append(slows_together(cooperative, task, 0.6, peak=needed_speeds(task)))
+    name = f"random paths, {'speed' if np.isinf(acceleration) else 'speed and acceleration'} limited"
+    steps, note = sum(s.steps for s in found), f"path rates differ by {max(s.spread for s in found):.1g} at most"
+    angle, chain = max(s.angle for s in found), max(s.chain_mm for s in found)
+    catalogue.row("A9", f"{name}: direction of the object", cases=steps, measured=angle, target=0.04, unit="°")
+    catalogue.row("A9", f"{name}: chain error", cases=steps, measured=chain, target=3e-4, unit="mm", note=note)

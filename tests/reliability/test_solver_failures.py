@@ -5,17 +5,14 @@ from __future__ import annotations
 import copy
 from collections.abc import Callable, Iterator
 from dataclasses import replace
-from functools import partial
 from typing import Any
 
 import numpy as np
 import pytest
 from checks import FAULTS, REST, Failure, FaultySolver, fails_now, judged, set_off
-from marks import slow_but_first
 from runs import cooperative, limited
 
 from coopqp import ObjectPath, ServoPath, Status
-from coopqp.native import available_kernels
 from coopqp.scenarios import Scenario, dual_arm7, fast_lift, five_joint_pair, mixed_cell, paper_lift, scara_pair
 from coopqp.solvers import DaqpSettings, OsqpSettings, ProxqpSettings, SolverStatus, make_solver
 
@@ -51,8 +48,8 @@ TASKS: dict[str, Callable[[], tuple[Scenario, Any]]] = {
 def failures(count: Callable[[int], int]) -> list[tuple[bool, Failure]]:
     """Every fault on one task, and one fault on all tasks, at several times; temporary and permanent."""
     rng, names = np.random.default_rng(5), list(TASKS)
-    # of each task and kernel: when a solver fails, how, and whether for ever
-    cases: dict[tuple[str, str], list[tuple[int, str, bool]]] = {}
+    # of each task: when a solver fails, how, and whether for ever
+    cases: dict[str, list[tuple[int, str, bool]]] = {}
     for _ in range(count(1)):
         shift = int(rng.integers(len(names)))
         runs = [(fault, names[(i + shift) % len(names)], at) for i, fault in enumerate(FAULTS) for at in (30, 120)]
@@ -61,16 +58,15 @@ def failures(count: Callable[[int], int]) -> list[tuple[bool, Failure]]:
         for fault, name, at in runs:
             for for_ever in (False, True):
                 moment = at + int(rng.integers(20))
-                kernel = str(rng.choice(available_kernels()))
-                cases.setdefault((name, kernel), []).append((moment, fault, for_ever))
-    return [failure for (name, kernel), of_run in cases.items() for failure in failed(name, kernel, of_run)]
+                cases.setdefault(name, []).append((moment, fault, for_ever))
+    return [failure for name, of_run in cases.items() for failure in failed(name, of_run)]
 
 
-def failed(name: str, kernel: str, cases: list[tuple[int, str, bool]]) -> Iterator[tuple[bool, Failure]]:
+def failed(name: str, cases: list[tuple[int, str, bool]]) -> Iterator[tuple[bool, Failure]]:
     """Copies of one run whose solver fails, each at its time."""
     task, goal = TASKS[name]()
     double = FaultySolver("daqp", FAULTS["answers NaN"])
-    controller, steps = set_off(partial(cooperative, kernel=kernel), task, double, goal), []
+    controller, steps = set_off(cooperative, task, double, goal), []
     for moment, fault, for_ever in sorted(cases):
         steps += [controller.step() for _ in range(moment - len(steps))]
         double.fault = FAULTS[fault]
@@ -141,13 +137,12 @@ def test_it_goes_on_when_the_solver_does(failures: list[tuple[bool, Failure]], c
     )
 
 
-@pytest.mark.parametrize("kernel", available_kernels())
 @pytest.mark.parametrize("fault", ["raises RuntimeError", "answers too few", "answers 2.1e9"])
-def test_a_step_without_an_answer_tells_what_it_gave_up(fault: str, kernel: str) -> None:
+def test_a_step_without_an_answer_tells_what_it_gave_up(fault: str) -> None:
     """No correction is done, the arms slow down along the path, and nothing is told of a solve that was none."""
     task = limited(fast_lift(), acceleration=5.0)
     double = FaultySolver("daqp", FAULTS[fault])
-    controller = cooperative(task, shortcut=False, solver=double, kernel=kernel)
+    controller = cooperative(task, shortcut=False, solver=double)
     controller.reset(task.q_start)
     before = [controller.step() for _ in range(40)][-1]
     double.broken = True
@@ -159,12 +154,11 @@ def test_a_step_without_an_answer_tells_what_it_gave_up(fault: str, kernel: str)
         assert (step.solver.status, step.solver.iterations, step.solver.time_s) == ("failed", 0, 0.0)
 
 
-@pytest.mark.parametrize("kernel", available_kernels())
-def test_only_the_first_qp_fails(kernel: str) -> None:
+def test_only_the_first_qp_fails() -> None:
     """If it fails and the one whose chain may part succeeds, the motion continues normally."""
     task = limited(fast_lift(), acceleration=5.0)
     double = FaultySolver("daqp", FAULTS["answers NaN"], most=9)
-    controller = cooperative(task, shortcut=False, solver=double, kernel=kernel)
+    controller = cooperative(task, shortcut=False, solver=double)
     controller.reset(task.q_start)
     double.broken = True
     steps = [controller.step() for _ in range(100)]
@@ -201,14 +195,13 @@ def test_the_real_iteration_limit(solver: str, settings: Any) -> None:
     assert judged(task, steps).ok
 
 
-@pytest.mark.parametrize("kernel", available_kernels())
-def test_an_interrupt_is_not_swallowed(kernel: str) -> None:
+def test_an_interrupt_is_not_swallowed() -> None:
     def interrupted(*_: Any) -> Any:
         raise KeyboardInterrupt
 
     task = fast_lift()
     double = FaultySolver("daqp", interrupted)
-    controller = cooperative(task, shortcut=False, solver=double, kernel=kernel)
+    controller = cooperative(task, shortcut=False, solver=double)
     controller.reset(task.q_start)
     for broken in (True, False, True):  # the first step, and a later one
         double.broken = broken
@@ -239,13 +232,12 @@ class Interrupted(ObjectPath):
         return self._path.twist(clock)
 
 
-@pytest.mark.parametrize("kernel", slow_but_first(available_kernels()))
-def test_an_interrupt_of_a_path_is_not_swallowed(kernel: str) -> None:
+def test_an_interrupt_of_a_path_is_not_swallowed() -> None:
     """Whoever catches it can go on: neither the motion nor what is known ahead is broken."""
     task = replace(limited(paper_lift(time_law="quintic"), acceleration=5.0), dt=0.01)
     for calls in (1, 2, 3, 8, 30, 70):
         path = Interrupted(task.path)
-        controller = cooperative(replace(task, path=path), kernel=kernel)
+        controller = cooperative(replace(task, path=path))
         controller.reset(task.q_start)
         steps = [controller.step() for _ in range(3)]
         path.calls_left, interrupts = calls, 0

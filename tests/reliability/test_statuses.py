@@ -25,12 +25,10 @@ from coopqp import (
 )
 from coopqp.errors import StartWarning
 from coopqp.model import CellState
-from coopqp.native import available_kernels
 from coopqp.scenarios import Scenario, at_limit, at_singularity, dual_arm7, five_joint_pair, mixed_cell, paper_lift
 from coopqp.simulation.evaluation.metrics import errors_from, object_poses, tool_matrices
 from coopqp.spatial import Array
 
-KERNELS = available_kernels()
 #: What a status may not be beyond these distances [m, rad]; rounding decides within the last.
 FAR, ROUNDING = (1e-3, np.deg2rad(0.1)), 1e-9
 STOPPED = (Status.BLOCKED, Status.HOLDING, Status.FAULT)
@@ -95,7 +93,7 @@ class Tally:
     seen: set[Status] = dataclasses.field(default_factory=set)
 
 
-def wild(seed: int, kernel: str, tally: Tally, *, jitter: bool) -> None:
+def wild(seed: int, tally: Tally, *, jitter: bool) -> None:
     """A run in which path, target, override and the length of a step change at random."""
     rng = np.random.default_rng(seed)
     task = limited_once(MAKES[seed % len(MAKES)], float(rng.choice([np.inf, 5.0, 20.0])))
@@ -106,7 +104,7 @@ def wild(seed: int, kernel: str, tally: Tally, *, jitter: bool) -> None:
     kind, start = ("path", "servo", "other paths")[int(rng.integers(3))], task.path.pose(0.0)
     if kind == "servo":
         task = dataclasses.replace(task, path=ServoPath(start))
-    controller = QPController(task.cell, task.grasp, task.path, dt=dt, options=QPOptions(kernel=kernel, **options))
+    controller = QPController(task.cell, task.grasp, task.path, dt=dt, options=QPOptions(**options))
     controller.reset(task.q_start)
     step, steps, poses = None, [], []
     for i in range(100):
@@ -133,13 +131,12 @@ def wild(seed: int, kernel: str, tally: Tally, *, jitter: bool) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("kernel", KERNELS)
-def test_no_step_says_what_is_not_so(kernel: str, catalogue: Any, count: Any) -> None:
+def test_no_step_says_what_is_not_so(catalogue: Any, count: Any) -> None:
     tally = Tally()
-    for seed in range(count(60 if kernel == "compiled" else 15)):
-        wild(seed, kernel, tally, jitter=False)
+    for seed in range(count(60)):
+        wild(seed, tally, jitter=False)
     assert tally.seen >= {Status.TRACKING, Status.SLOWED, Status.BLOCKED, Status.PAUSED, Status.OFF_PATH}
-    name = f"paths, targets and overrides at random, {kernel}"
+    name = "paths, targets and overrides at random"
     catalogue.row(
         "I3", f"{name}: status or distance not true", cases=tally.steps, measured=tally.untrue, target=0,
         note="beyond 1 mm or 0.1° OFF_PATH with the distance, within never",
@@ -150,33 +147,27 @@ def test_no_step_says_what_is_not_so(kernel: str, catalogue: Any, count: Any) ->
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("kernel", KERNELS)
-def test_any_length_of_a_step_has_a_name_for_every_stop(kernel: str, catalogue: Any, count: Any) -> None:
+def test_any_length_of_a_step_has_a_name_for_every_stop(catalogue: Any, count: Any) -> None:
     tally = Tally()
-    for seed in range(count(60 if kernel == "compiled" else 15)):
-        wild(1000 + seed, kernel, tally, jitter=True)
+    for seed in range(count(60)):
+        wild(1000 + seed, tally, jitter=True)
     wrong = tally.nameless + tally.outside + tally.untrue
-    name = f"dt of 0.1 to 100 ms, a third of the steps of 0.1 to 4.9 dt, {kernel}: a limit, a false status, no name"
+    name = "dt of 0.1 to 100 ms, a third of the steps of 0.1 to 4.9 dt: a limit, a false status, no name"
     catalogue.row("I7", name, cases=tally.steps, measured=wrong, target=0)
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("kernel", KERNELS)
-def test_a_previewed_object_is_never_said_to_be_off_its_path(kernel: str, catalogue: Any) -> None:
-    """The definition, which is slow, takes one of the accelerations in turn; arms with few joints are left to it."""
+def test_a_previewed_object_is_never_said_to_be_off_its_path(catalogue: Any) -> None:
     steps = alarms = 0
-    accelerations = np.inf, 10.0, 5.0
-    for k, make in enumerate((paper_lift, mixed_cell, dual_arm7, five_joint_pair, MAKES[4])):
-        if make is five_joint_pair and kernel == "compiled":
-            continue
-        for acceleration in accelerations if kernel == "compiled" else accelerations[k % 3 :][:1]:
+    for make in (paper_lift, mixed_cell, dual_arm7, five_joint_pair, MAKES[4]):
+        for acceleration in (np.inf, 10.0, 5.0):
             task = limited_once(make, acceleration)
-            controller = QPController(task.cell, task.grasp, task.path, dt=0.003, options=QPOptions(kernel=kernel))
+            controller = QPController(task.cell, task.grasp, task.path, dt=0.003, options=QPOptions())
             controller.reset(task.q_start)
             for _ in range(1000):
                 step = controller.step()
                 steps, alarms = steps + 1, alarms + (step.status is Status.OFF_PATH)
-    what = f"previewed runs, {kernel}: OFF_PATH said in vain"
+    what = "previewed runs: OFF_PATH said in vain"
     catalogue.row("I3", what, cases=steps, measured=alarms, target=0)
 
 
@@ -191,13 +182,12 @@ def said_at_reset(controller: QPController, q: Array) -> str:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("kernel", KERNELS)
-def test_a_start_off_the_grasp_or_the_path_is_said(kernel: str, catalogue: Any, count: Any) -> None:
+def test_a_start_off_the_grasp_or_the_path_is_said(catalogue: Any, count: Any) -> None:
     """By 0.1 mm to the tolerance; the words end when the arms are where they should be."""
     rng, silent, cases, wrong = np.random.default_rng(3), 0, 0, 0
-    while cases < count(30 if kernel == "compiled" else 8):
+    while cases < count(30):
         task = limited_once(MAKES[cases % 4], float(rng.choice([np.inf, 10.0])))
-        controller = QPController(task.cell, task.grasp, task.path, dt=0.005, options=QPOptions(kernel=kernel))
+        controller = QPController(task.cell, task.grasp, task.path, dt=0.005, options=QPOptions())
         q = task.cell.moved(task.q_start, 10.0 ** rng.uniform(-4.0, -2.0) * rng.standard_normal(task.cell.nv))
         O = task.grasp.carried(CellState(task.cell, q))
         start = task.path.pose(0.0)
@@ -215,7 +205,7 @@ def test_a_start_off_the_grasp_or_the_path_is_said(kernel: str, catalogue: Any, 
         for _ in range(300):
             step = controller.step()
         wrong += step.reason != "" or step.status not in (Status.TRACKING, Status.SLOWED)
-    name = f"starts off the grasp or the path by 0.1 mm to 20 mm, {kernel}"
+    name = "starts off the grasp or the path by 0.1 mm to 20 mm"
     catalogue.row(
         "I8", f"{name}: not said", cases=cases, measured=silent, target=0, note="at reset and in the first step"
     )
@@ -223,8 +213,7 @@ def test_a_start_off_the_grasp_or_the_path_is_said(kernel: str, catalogue: Any, 
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("kernel", KERNELS)
-def test_a_start_outside_limits_is_said(kernel: str, catalogue: Any, count: Any) -> None:
+def test_a_start_outside_limits_is_said(catalogue: Any, count: Any) -> None:
     rng, silent, cases = np.random.default_rng(4), 0, 0
     for i in range(count(30)):
         task = MAKES[i % 4]()
@@ -233,10 +222,10 @@ def test_a_start_outside_limits_is_said(kernel: str, catalogue: Any, count: Any)
         j, by = int(rng.integers(task.cell.nv)), float(10.0 ** rng.uniform(-4.0, -1.0))
         lower[j], upper[j] = (x[j] - 1.0, x[j] - by) if i % 2 else (x[j] + by, x[j] + 1.0)
         task = dataclasses.replace(task, cell=task.cell.with_limits(lower=lower, upper=upper))
-        controller = QPController(task.cell, task.grasp, task.path, dt=0.005, options=QPOptions(kernel=kernel))
+        controller = QPController(task.cell, task.grasp, task.path, dt=0.005, options=QPOptions())
         arm, _, joint = task.cell.joint_names[j].partition("/")
         words = f"arm {arm} started outside its limits: {joint}"
         silent += (words not in said_at_reset(controller, task.q_start)) + (words not in controller.step().explain())
         cases += 1
-    name = f"starts 0.1 to 100 mrad outside a joint's limit, {kernel}: arm and joint not said"
+    name = "starts 0.1 to 100 mrad outside a joint's limit: arm and joint not said"
     catalogue.row("I8", name, cases=cases, measured=silent, target=0, note="at reset and in the first step")

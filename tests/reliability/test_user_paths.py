@@ -22,7 +22,6 @@ from coopqp import (
     Status,
     check_path,
 )
-from coopqp.native import available_kernels
 from coopqp.scenarios import Scenario, dual_arm7, mixed_cell, paper_lift
 from coopqp.simulation.evaluation.metrics import chain_errors, errors_from, object_poses, tool_matrices
 from coopqp.spatial import Array
@@ -30,7 +29,6 @@ from coopqp.spatial import Array
 DT = 0.005
 #: A hold is judged until the arms have stood for this number of steps, or for this number of steps in all.
 STANDING, HELD = 30, 120
-KERNELS = available_kernels()
 
 
 class Own(ObjectPath):
@@ -212,18 +210,17 @@ def test_right_twists_are_accepted() -> None:
 
 @pytest.mark.slow
 def test_follow_refuses_a_broken_path_and_the_old_one_goes_on() -> None:
-    for kernel in KERNELS:
-        task = limited(mixed_cell(), 10.0)
-        moving = cooperative(task, kernel, path=task.path, dt=DT)
-        moving.reset(task.q_start)
-        for _ in range(40):
-            moving.step()
-        for name in (*WAYS, "no path"):
-            controller, other = copy.deepcopy(moving), copy.deepcopy(moving)
-            with pytest.raises(InvalidInputError, match="follow"):
-                controller.follow(None if name == "no path" else spoiled(Own(task), name))  # type: ignore[arg-type]
-            for _ in range(20):
-                assert np.array_equal(controller.step().velocity, other.step().velocity), name
+    task = limited(mixed_cell(), 10.0)
+    moving = cooperative(task, path=task.path, dt=DT)
+    moving.reset(task.q_start)
+    for _ in range(40):
+        moving.step()
+    for name in (*WAYS, "no path"):
+        controller, other = copy.deepcopy(moving), copy.deepcopy(moving)
+        with pytest.raises(InvalidInputError, match="follow"):
+            controller.follow(None if name == "no path" else spoiled(Own(task), name))  # type: ignore[arg-type]
+        for _ in range(20):
+            assert np.array_equal(controller.step().velocity, other.step().velocity), name
 
 
 def test_reset_on_a_path_that_fails_by_then_is_a_named_error() -> None:
@@ -260,22 +257,16 @@ def judged(task: Scenario, steps: Sequence[ControlStep]) -> tuple[int, float]:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("kernel", KERNELS)
 @pytest.mark.parametrize("known_ahead", [True, False])
-def test_a_path_that_breaks_in_motion_holds_and_goes_on(kernel: str, known_ahead: bool, catalogue: Any) -> None:
-    """It breaks at once, or from a clock ahead on, and is mended after the arms have come to rest.
-
-    The definition, which is slow, meets each way to break with one of the two in turn.
-    """
+def test_a_path_that_breaks_in_motion_holds_and_goes_on(known_ahead: bool, catalogue: Any) -> None:
+    """It breaks at once, or from a clock ahead on, and is mended after the arms have come to rest."""
     wrong, cases, longest, chain = 0, 0, 0, 0.0
-    for k, (make, acceleration) in enumerate(((paper_lift, np.inf), (paper_lift, 10.0), (mixed_cell, 10.0))):
+    for make, acceleration in ((paper_lift, np.inf), (paper_lift, 10.0), (mixed_cell, 10.0)):
         task = limited(make(), acceleration)
-        moving = cooperative(task, kernel, path=Own(task, known_ahead=known_ahead), dt=DT)
+        moving = cooperative(task, path=Own(task, known_ahead=known_ahead), dt=DT)
         moving.reset(task.q_start)
         last = [moving.step() for _ in range(61)][-1]
         broken = list(itertools.product(WAYS, (0.0, 0.15)))
-        if kernel == "plain":
-            broken = [(name, (0.0, 0.15)[(i + k) % 2]) for i, name in enumerate(WAYS)]
         for name, ahead in broken:
             controller = copy.deepcopy(moving)
             path = controller.path
@@ -300,20 +291,19 @@ def test_a_path_that_breaks_in_motion_holds_and_goes_on(kernel: str, known_ahead
             longest, cases = max(longest, count), cases + 1
     assert chain < 1e-5
     ahead = "known ahead" if known_ahead else "not known ahead"
-    name = f"a user's path, {ahead}, breaks in motion and is mended, {kernel}: an exception, no reason, no end"
+    name = f"a user's path, {ahead}, breaks in motion and is mended: an exception, no reason, no end"
     note = f"at full rate again within {longest} steps; arms apart by {1e3 * chain:.2g} mm at most"
     catalogue.row("I7", name, cases=cases, measured=wrong, target=0, note=note)
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("kernel", [pytest.param(k, marks=pytest.mark.slow) if k == "plain" else k for k in KERNELS])
-def test_a_path_that_fails_now_and_then(kernel: str, catalogue: Any, count: Any) -> None:
+def test_a_path_that_fails_now_and_then(catalogue: Any, count: Any) -> None:
     """Every hundredth to third question has no answer."""
     rng, wrong, cases, held = np.random.default_rng(1), 0, 0, 0
     for i in range(count(12)):
         task = limited((paper_lift, mixed_cell, dual_arm7)[i % 3](), (np.inf, 10.0)[i // 3 % 2])
         path = Own(task, known_ahead=i % 5 != 0)
-        controller = cooperative(task, kernel, path=path, dt=DT)
+        controller = cooperative(task, path=path, dt=DT)
         controller.reset(task.q_start)
         steps = [controller.step()]
         often = float(rng.choice([0.01, 0.1, 0.3]))
@@ -327,26 +317,22 @@ def test_a_path_that_fails_now_and_then(kernel: str, catalogue: Any, count: Any)
         steps += [controller.step() for _ in range(150)]
         wrong, cases = wrong + judged(task, steps)[0], cases + 150
         held += sum(s.status is Status.HOLDING for s in steps[1:])
-    name = f"a user's path fails now and then, {kernel}: an exception, a limit, no reason"
+    name = "a user's path fails now and then: an exception, a limit, no reason"
     catalogue.row("I7", name, cases=cases, measured=wrong, target=0, note=f"{held} steps held")
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("kernel", KERNELS)
-def test_a_path_that_jumps_stops_by_name_or_is_caught_up_with(kernel: str, catalogue: Any) -> None:
-    """The definition, which is slow, meets each jump in each cell with one of the accelerations in turn."""
+def test_a_path_that_jumps_stops_by_name_or_is_caught_up_with(catalogue: Any) -> None:
     wrong, cases, chain = 0, 0, 0.0
-    for i, make in enumerate((paper_lift, mixed_cell)):
-        for j, acceleration in enumerate((np.inf, 10.0)):
-            for k, size in enumerate((1e-4, 1e-3, 0.01, 0.1, 1.0, 100.0)):
-                if kernel == "plain" and (i + j + k) % 2:
-                    continue
+    for make in (paper_lift, mixed_cell):
+        for acceleration in (np.inf, 10.0):
+            for size in (1e-4, 1e-3, 0.01, 0.1, 1.0, 100.0):
                 task = limited(make(), acceleration)
                 path = Own(task)
                 path.since = 0.5 * task.path.duration
                 jump = pin.SE3(pin.exp3(np.full(3, 0.3 * min(size, 1.0))), np.array([size, 0.0, 0.0]))
                 path.spoil = lambda clock, task=task, jump=jump: jump * task.path.pose(clock)
-                controller = cooperative(task, kernel, path=path, dt=DT)
+                controller = cooperative(task, path=path, dt=DT)
                 controller.reset(task.q_start)
                 steps = [controller.step()]
                 while len(steps) < 701 and not (len(steps) > 1 and steps[-1].finished):
@@ -361,7 +347,7 @@ def test_a_path_that_jumps_stops_by_name_or_is_caught_up_with(kernel: str, catal
                         last, count = controller.step(), count + 1
                     wrong += last.status is not Status.TRACKING
     assert chain < 1e-5
-    name = f"a user's path that jumps by 0.1 mm to 100 m, {kernel}: an exception, a limit, no name"
+    name = "a user's path that jumps by 0.1 mm to 100 m: an exception, a limit, no name"
     note = f"arms apart by {1e3 * chain:.2g} mm at most"
     catalogue.row("I7", name, cases=cases, measured=wrong, target=0, note=note)
 

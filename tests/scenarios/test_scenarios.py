@@ -29,18 +29,15 @@ from coopqp.scenarios import (
     at_singularity,
     dual_arm7,
     fast_lift,
-    five_joint_pair,
     mixed_cell,
     panda_bar,
     ring,
-    scara_pair,
     scenario,
     ur5_table,
     wide_grasp,
 )
 from coopqp.scenarios.arms import robot_data_path
 from coopqp.simulation import chain_error, tool_placements
-from coopqp.spatial import adjoint
 
 #: Scenarios with a path that the arms can follow to its end at full rate.
 HARD = ("fast_lift", "at_limit", "at_singularity", "random_posts", "elbows", "forearms")
@@ -229,35 +226,6 @@ def test_the_mixed_cell_has_continuous_and_prismatic_joints() -> None:
     assert sorted(sizes) == [6, 6, 7, 7]
     assert task.cell.nq == task.cell.nv + 1
     assert any("P" in j.shortname()[10:11] for j in task.cell.model.joints)
-
-
-@pytest.mark.parametrize(("make", "freedom"), [(scara_pair, 4), (five_joint_pair, 4)])
-def test_arms_with_few_joints_can_follow_their_path_and_little_else(
-    make: Callable[..., Scenario], freedom: int
-) -> None:
-    def missing(task: Scenario) -> tuple[float, int]:
-        """Largest part of the path's twist that an arm cannot do, and the number of motions that all arms can do."""
-        chain, worst, d = Chain(task.cell, task.grasp), 0.0, 6
-        for clock, state in along(task, 20):
-            O = task.path.pose(clock)
-            chain.linearise(state.q, about=O.translation)
-            Z, ranges = chain.admissible_twists(adjoint(pin.SE3(O.rotation.T, np.zeros(3))))
-            d = min(d, Z.shape[1])
-            twist = task.path.twist(clock)
-            worst = max(worst, *(float(np.abs(twist - P @ twist).max()) for _, P in ranges))
-        return worst, d
-
-    worst, d = missing(make())
-    assert worst < 1e-9
-    assert d == freedom
-    if make is scara_pair:
-        task = scara_pair(tilt=0.1)
-        O = task.path.pose(1.5)
-        chain = Chain(task.cell, task.grasp)
-        chain.linearise(task.q_start, about=O.translation)
-        twist = task.path.twist(1.5)
-        _, ranges = chain.admissible_twists(adjoint(pin.SE3(O.rotation.T, np.zeros(3))))
-        assert all(np.abs(twist - P @ twist).max() > 0.01 for _, P in ranges)
 
 
 def test_paths_can_be_changed() -> None:

@@ -7,12 +7,9 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import Any
 
-from coopqp import ControlStep, LinePath, ObjectPath, PostureOptions, PreviewOptions, QPController, QPOptions, Status
+from coopqp import ControlStep, LinePath, ObjectPath, QPController, QPOptions, Status
 from coopqp.baselines import PseudoInverseController, PseudoInverseOptions
 from coopqp.control import Controller
-from coopqp.control.lookahead.preview import PathPreview
-from coopqp.model.chain import Chain
-from coopqp.model.posture import Posture
 from coopqp.paths import TimeLaw
 from coopqp.scenarios import Scenario, paper_lift
 
@@ -43,7 +40,6 @@ def fast_lift(time_law: str = "quintic") -> Scenario:
 
 def cooperative(
     task: Scenario,
-    kernel: str = "auto",
     *,
     path: ObjectPath | None = None,
     dt: float | None = None,
@@ -54,7 +50,6 @@ def cooperative(
 
     Args:
         task: whose cell, grasp, path and period.
-        kernel: which arithmetic.
         path: another path.
         dt: another period [s].
         constraints: of a user.
@@ -65,14 +60,14 @@ def cooperative(
         task.grasp,
         task.path if path is None else path,
         dt=task.dt if dt is None else dt,
-        options=QPOptions(kernel=kernel, **options),
+        options=QPOptions(**options),
         constraints=constraints,
     )
 
 
-def built(task: Scenario, kernel: str = "auto", **options: Any) -> QPController:
+def built(task: Scenario, **options: Any) -> QPController:
     """:func:`cooperative`, at the scenario's start."""
-    made = cooperative(task, kernel, **options)
+    made = cooperative(task, **options)
     made.reset(task.q_start)
     return made
 
@@ -120,18 +115,3 @@ def drive(
         if rest is not None and waited >= rest:
             break
     return done
-
-
-def preview_of(task: Scenario, *, dt: float = 0.002, **options: Any) -> PathPreview:
-    """The look-ahead of a controller at a scenario's start, by itself.
-
-    Args:
-        task: whose cell, grasp, path and start.
-        dt: length of a step [s].
-        options: of :class:`coopqp.PreviewOptions`.
-    """
-    posture = Posture(task.cell, PostureOptions())
-    posture.reset(task.q_start)
-    preview = PathPreview(Chain(task.cell, task.grasp), task.path, posture, dt=dt, options=PreviewOptions(**options))
-    preview.reset(task.q_start, 0.0)
-    return preview

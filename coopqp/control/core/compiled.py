@@ -1,4 +1,4 @@
-"""The compiled loop: the plain loop's three calls over memory that Python and the core share.
+"""The loop of one controller: three calls of the core, over memory that Python and the core share.
 
 The core calls back for a path, a constraint, or a solver of the user's. It leaves a step open where rows of constraints
 may bind that Python has not given yet.
@@ -14,25 +14,24 @@ from typing import Any, final
 import numpy as np
 import pinocchio as pin
 
+from coopqp.checks import NOT_NUMBERS, as_floats
 from coopqp.constraints.cause import Cause
 from coopqp.constraints.rate import Knot
 from coopqp.constraints.velocity import ConstraintTrouble, Rows, no_rows
 from coopqp.control.core.force_memory import minding_scalars
-from coopqp.control.core.memory import NotForTheCore, build_memory, check_kinematics, put_options
+from coopqp.control.core.memory import build_memory, check_kinematics, put_options
 from coopqp.control.interface import ControlStep, SolverReport, Status, amend
-from coopqp.control.monitoring.supervision import as_configuration
 from coopqp.control.operator.way import Way
 from coopqp.control.options import QPOptions
 from coopqp.control.step.constraint_set import Constraints
 from coopqp.control.step.contact import Contact, filter_time, handed
 from coopqp.control.step.decoding import STATUSES, RecordReader
-from coopqp.control.step.priorities import StepSolver, unsolved
+from coopqp.control.step.other_solver import StepSolver, unsolved
 from coopqp.control.step.velocity_bounds import VelocityBox
 from coopqp.errors import InvalidInputError
 from coopqp.model.cell import RobotCell
 from coopqp.model.chain import Chain
 from coopqp.model.grasp import Grasp
-from coopqp.model.posture import Posture
 from coopqp.model.state import CellState
 from coopqp.native import layout
 from coopqp.native.constants import MOST_MINDING, MOST_TIGHTENINGS, SAME_CLOCK, SEGMENT
@@ -52,18 +51,18 @@ _ASK = layout.OUTCOMES.index("ASK")
 
 @final
 class CompiledLoop:
-    """See :class:`coopqp.control.step.plain.PlainLoop`.
+    """Observes, proposes and commits, over the memory of one core.
 
     Args:
-        cell, grasp, dt, options, constraints: as for the plain loop.
+        cell, grasp: the arms, and how they hold the object.
+        dt: nominal length of a step [s].
+        options: settings.
+        constraints: further constraints.
         arithmetic: ``"plain"`` for instructions that every processor has; ``"auto"`` for the fastest.
 
     Raises:
-        NotForTheCore: the options ask for something that the core does not do.
         ModelError: the cell has too many joints, or arms that share some, or joints that move as no known kind does.
     """
-
-    kernel = "compiled"
 
     def __init__(
         self,
@@ -75,8 +74,6 @@ class CompiledLoop:
         constraints: Constraints,
         arithmetic: str = "auto",
     ) -> None:
-        if options.iterations != 1 or options.form != "condensed":
-            raise NotForTheCore("the core linearises once and solves the condensed form")
         self.cell, self.grasp, self.dt, self.options = cell, grasp, dt, options
         self.constraints = constraints
         chain, box = Chain(cell, grasp), VelocityBox(cell)
@@ -101,7 +98,8 @@ class CompiledLoop:
         self._loop.overridden = self._loop.ease = 1.0
         self._share: float | None = math.nan  # of the accelerations that the path's options are for; none yet
         check_kinematics(chain, self._core.linearise)
-        self._target = Posture(cell, options.posture).target
+        target = options.posture.target
+        self._target = None if target is None else cell.check_configuration(target, "PostureOptions: target")
         self._no_rows = no_rows(cell.nv)
         self._nan = np.full(cell.nq, math.nan)
         self._further = self._no_rows
@@ -261,7 +259,7 @@ class CompiledLoop:
         self.at["loop"][:] = np.frombuffer(kept)
 
     def retarget_motion(self, path: ServoPath, goal: pin.SE3, rate: float) -> bool | None:
-        """Take the way to a new target as :class:`coopqp.QPController` does; None where the definition has to say."""
+        """Take the way to a new target as :class:`coopqp.QPController` does; None where an attempt has to say."""
         if self._guarded.elbows is not None:  # which the core's own numbers lack
             return None
         rows = self._rows_here()
@@ -292,14 +290,14 @@ class CompiledLoop:
         return None if failed else rows
 
     def keep_travels(self, stride: int, *, anew: bool) -> None:
-        """Keep the end of every so many steps from now on, as the plain loop does."""
+        """Keep the end of every so many steps from now on for :meth:`travels`, 0: of none; ``anew``: forget others."""
         kept = self._memory.travels
         kept.stride = stride
         if anew:
             kept.left, kept.count = stride, 0.0
 
     def travels(self) -> list[tuple[float, float, Array, Array]]:
-        """What was kept since the last time, as in the plain loop."""
+        """What was kept since the last time: clock [s], σ, joint positions and velocities (nv,)."""
         kept, nv = self._memory.travels, self.cell.nv
         count, width = int(kept.count), 2 + 2 * nv
         kept.count = 0.0
@@ -307,7 +305,7 @@ class CompiledLoop:
         return [(row.item(0), row.item(1), row[2 : 2 + nv], row[2 + nv :]) for row in rows]
 
     def try_step(self) -> tuple[float, Array]:
-        """σ that a step from here keeps, and the change of velocity, as in the plain loop."""
+        """σ that a step from here keeps, and the change of velocity (nv,); nothing is committed."""
         self._core.observe(None, None)
         self._core.propose(self._put_rows(), False)
         self._keep_rows()
@@ -501,7 +499,7 @@ class CompiledLoop:
     def _as_measured(self, q: Any) -> Array:
         if type(q) is np.ndarray and q.dtype == np.float64 and q.shape == (self.cell.nq,) and q.flags.c_contiguous:
             return q
-        measured, trouble = as_configuration(self.cell, q)
+        measured, trouble = _as_configuration(self.cell, q)
         if measured is None:
             self._said[_NOT_FINITE] = trouble
             return self._nan
@@ -549,7 +547,7 @@ class CompiledLoop:
         box.lower[:], box.upper[:], box.recovery[:] = at["lower"], at["upper"], at["recovery"]
         box.outside[:] = at["outside"] != 0.0
         base, columns = at["base"][:rows], at["columns"][: rows * width].reshape(rows, width)
-        solution, self._report = self.solver.solve_filled(
+        solution, self._report = self.solver.solve(
             base, columns, further, cap=self._proposal.cap, relax=bool(relax), parts=width > unknowns
         )
         if not solution.usable:
@@ -570,3 +568,14 @@ def _numbers_of(pose: pin.SE3) -> Array:
 def _pose_of(numbers: Array) -> pin.SE3:
     """The reverse."""
     return pin.SE3(numbers[:9].reshape(3, 3), numbers[9:])
+
+
+def _as_configuration(cell: RobotCell, q: Any) -> tuple[Array | None, str]:
+    """A measured configuration as an array (nq,), or None and the fault of its type or shape."""
+    try:
+        measured = q if type(q) is np.ndarray and q.dtype == np.float64 else as_floats(q)
+    except NOT_NUMBERS:
+        return None, f"q_measured is {type(q).__name__}, not {cell.nq} numbers"
+    if measured.shape != (cell.nq,):
+        return None, f"q_measured must have shape ({cell.nq},), got {measured.shape}"
+    return np.ascontiguousarray(measured), ""

@@ -1,4 +1,4 @@
-"""The core of one compiled loop, with views of the fields of its memory by name."""
+"""The core of one loop, with views of the fields of its memory by name."""
 
 from __future__ import annotations
 
@@ -10,27 +10,29 @@ import numpy as np
 import coopqp.native._core as native
 from coopqp.constraints.velocity import MOST_ROWS
 from coopqp.control.lookahead.options import PlanLimits, PreviewOptions
-from coopqp.control.monitoring.lag import grasp_levers, kept_samples
-from coopqp.control.monitoring.supervision import grasp_lengths
+from coopqp.control.monitoring.options import SupervisionOptions
 from coopqp.control.options import QPOptions
 from coopqp.control.step.velocity_bounds import VelocityBox
 from coopqp.errors import ModelError
 from coopqp.model.cell import RobotCell, of_cell
 from coopqp.model.chain import Chain, moving_columns
+from coopqp.model.grasp import Grasp
 from coopqp.model.links import check_count, joint_links
 from coopqp.native import layout
 from coopqp.native.constants import (
     CALM,
+    LAG,
     LARGEST_MOVE,
     MOST_GROUP_JOINTS,
     MOST_KNOTS,
     MOST_SHARING,
 )
-from coopqp.spatial import Array
+from coopqp.spatial import Array, skew
 
-
-class NotForTheCore(Exception):  # noqa: N818
-    """The options ask for something that the core does not know; the plain loop does it. No user sees it."""
+#: Least distance between a grasp and the grasps' centre that counts [m].
+_LEAST_REACH = 0.1
+#: A late arm is looked for in this many samples before the last ones, at most.
+_MOST_LATE = 200
 
 
 @final
@@ -207,3 +209,30 @@ def check_kinematics(chain: Chain, linearise: object, *, samples: int = 3, toler
                     f"arm '{name}': its joints do not move it as Pinocchio says, at random configurations. Build its "
                     "model of joints that turn, slide, or screw about one axis."
                 )
+
+
+def grasp_lengths(grasp: Grasp) -> Array:
+    """Lᵀ (6, 6): ``d @ Lᵀ`` are the lengths at the grasps [m] of displacements d (…, 6) of the object [m, rad].
+
+    The first three are the displacement of the grasps' centre, the others the turn times the largest distance of a
+    grasp from it: if one arm turns the object, the grasps part by this length.
+    """
+    points = np.array([X.translation for X in grasp.T_object_tool])
+    centre = points.mean(axis=0)
+    reach = max(float(np.linalg.norm(points - centre, axis=1).max()), _LEAST_REACH)
+    L = np.eye(6)
+    L[:3, 3:] = -skew(centre)
+    L[3:, 3:] *= reach
+    return L.T
+
+
+def kept_samples(options: SupervisionOptions, dt: float) -> int:
+    """Number of samples in which a stall is looked for, of length ``dt`` [s]: those of a lag beside stall_samples."""
+    return 1 + (options.stall_samples or 1) + math.ceil(min(LAG / dt, _MOST_LATE) - 1e-9)
+
+
+def grasp_levers(grasp: Grasp, reach: float) -> Array:
+    """Places of the grasps from their centre, over a reach (N, 3)."""
+    points = np.array([X.translation for X in grasp.T_object_tool])
+    out: Array = (points - points.mean(axis=0)) / reach
+    return out

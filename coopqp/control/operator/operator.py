@@ -387,7 +387,7 @@ class Operator:
         loop, full = self._loop, 0.0 if self._loop.reins[1] else self.override
         now, late = loop.rate, self._late
         rate = min(now, full) if late else full
-        taken = loop.retarget_motion(path, goal, rate) if loop.kernel == "compiled" else None
+        taken = loop.retarget_motion(path, goal, rate)
         taken = retarget_motion(loop, path, self._ramp_time, goal, rate) if taken is None else bool(taken)
         self._late = not taken and not late and 0.0 < now < full
         if taken:

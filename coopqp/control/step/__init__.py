@@ -1,1 +1,1 @@
-"""One step: from the measured configuration to the command, as the definition in Python says it."""
+"""One step: from the measured configuration to the command: what goes into the core, and what comes out."""

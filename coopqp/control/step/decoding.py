@@ -6,21 +6,17 @@ from typing import Any, final
 
 import numpy as np
 
-from coopqp.constraints.cause import Cause
+from coopqp.constraints.cause import Cause, cause_of_limits
 from coopqp.control.interface import NO_SOLVE, NOTHING, GivenUp, SolverReport, Status, off_path
-from coopqp.control.monitoring.commanded import OFF_WAY, PARTED
-from coopqp.control.monitoring.lag import OFF_LAG
 from coopqp.control.monitoring.options import SupervisionOptions
-from coopqp.control.monitoring.supervision import refused_dt, unmeasured
 from coopqp.control.operator.way import Way
 from coopqp.control.step.constraint_set import Constraints
-from coopqp.control.step.priorities import unsolved
-from coopqp.control.step.verdict import cause_of, too_close
+from coopqp.control.step.other_solver import unsolved
 from coopqp.model.cell import RobotCell
 from coopqp.model.chain import moving_columns
 from coopqp.model.grasp import Grasp
 from coopqp.model.limits import BindingLimit, LimitKind
-from coopqp.model.shapes import NearPair
+from coopqp.model.shapes import NearPair, too_close
 from coopqp.native import layout
 from coopqp.paths.guarded import jump
 from coopqp.spatial import Array
@@ -110,7 +106,7 @@ class RecordReader:
             return ""
         given = s.reason_arm, s.reason_a, s.reason_b
         if code == _REASONS["BAD_DT"]:
-            return refused_dt(given[1], *self._dt_range)
+            return f"dt is not accepted: {given[1]:g} s is outside [{self._dt_range[0]:g}, {self._dt_range[1]:g}] s"
         return reason(self.cell, self._force_limit, code, *given)
 
     def _read_commanded_apart(self, s: Any, r: Array) -> float:
@@ -163,7 +159,8 @@ class RecordReader:
 
 
 _BOTH = (_REASONS["CHAIN_APART"], _REASONS["CHAIN_PARTED"])
-#: The sentence of each reason, by the joint or arm i and two numbers a and b. BAD_DT and PATH_JUMPS have their own.
+_PARTED = "arms {arm} and {other} are commanded {mm:.2g} mm apart"
+#: The sentence of each reason, by the joint or arm i and two numbers a and b. Those of :func:`reason` have their own.
 _SENTENCES = {
     "UNSOLVED": unsolved(None),
     "NO_REASON": "",
@@ -174,15 +171,15 @@ _SENTENCES = {
     "PATH_FAILED": "the path has no pose at its clock {a:.6g} s",
     "LOOK_AHEAD_FAILED": "the path ahead of its clock {a:.6g} s cannot be asked",
     "CONSTRAINT_FAILED": "a constraint cannot be asked",
-    "CHAIN_APART": PARTED,
-    "CHAIN_PARTED": PARTED,
+    "CHAIN_APART": _PARTED,
+    "CHAIN_PARTED": _PARTED,
     "OUT_OF_STEP_BY": "arm {arm} is {mm:.2f} mm out of step with the others",
     "WAS_OUT_OF_STEP": "arm {arm} was out of step",
     "STALLED": "arm {arm} does not follow its command (stalled)",
     "FORCE": "{a:.0f} N at the grasp of arm {arm} by its servos (limit {limit:g} N)",
     "FORCE_GROWS": "{a:.0f} N at the grasp of arm {arm} by its servos, soon {b:.0f} N (limit {limit:g} N)",
     "OFF_SERVOS": "arm {arm} is {mm:.2f} mm from where its wrench puts its servos",
-    "OFF_LAG": OFF_LAG,
+    "OFF_LAG": "arm {arm} seems to have stopped in its grip: the arms are {mm:.2f} mm from where a lag could put them",
     "HANGS_BEHIND": (
         "arm {arm} does not follow its command: it hangs {mm:.2g} mm behind, and the others pull it with {b:.0f} N"
     ),
@@ -195,10 +192,39 @@ def reason(cell: RobotCell, force_limit: float, code: int, index: float, a: floa
         return jump(b, a)
     if code == _REASONS["OFF_WAY"]:
         name = cell.joint_names[int(b)]
-        return OFF_WAY.format(arm=name.partition("/")[0], joint=name, far=a)
+        arm = name.partition("/")[0]
+        return f"arm {arm} is not on the way of its joints: {name} is {a:.3g} rad (or m) off"
     i, other = int(index), int(b) if code in _BOTH else 0
     if code == _REASONS["NOT_FINITE"]:
-        return unmeasured(cell, i)
+        return _unmeasured(cell, i)
     arm, joint = (names[i] if i < len(names) else "" for names in (cell.arm_names, cell.joint_names))
     words = {"arm": arm, "joint": joint, "other": cell.arm_names[other], "limit": force_limit}
     return _SENTENCES[layout.REASONS[code]].format(i=i, next=i + 1, a=a, b=b, mm=1e3 * a, **words)
+
+
+def _unmeasured(cell: RobotCell, i: int) -> str:
+    """The reason for entry i of a measured configuration that is no number."""
+    joint = int(np.searchsorted(cell.position_index, i, side="right")) - 1
+    return f"joint {cell.joint_names[max(joint, 0)]} has no finite measured position"
+
+
+def cause_of(
+    status: Status, watched: Cause | None, binding: tuple[BindingLimit, ...], *, measured: bool
+) -> Cause | None:
+    """Why a status is not TRACKING; None if it is.
+
+    Args:
+        status: of the step.
+        watched: cause of what the supervision found; None if it found nothing. A hold without one is the solver's.
+        binding: limits that the step runs against.
+        measured: measurements have a share in the object's distance from its path.
+    """
+    if status is Status.TRACKING:
+        return None
+    if status is Status.PAUSED:
+        return Cause.OPERATOR
+    if status in (Status.HOLDING, Status.FAULT):
+        return watched or Cause.SOLVER
+    # Without a limit the bound on the rate's rise slows the object, and a path that it was given away from it is far.
+    rest = Cause.LIMIT if status is not Status.OFF_PATH else Cause.TRACKING if measured else Cause.INPUT
+    return cause_of_limits(binding) or watched or rest

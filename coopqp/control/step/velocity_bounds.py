@@ -1,8 +1,8 @@
 """Velocity bounds of one step: position, velocity, acceleration and braking distance in one box.
 
 The box ``lower ≤ v ≤ upper`` is never empty. From outside a position limit it only forbids going further out; the
-way back in is a cost of the program (see :mod:`coopqp.control.step.formulations`). Where limits conflict, acceleration
-wins. The core's counterpart is ``limits.cpp``.
+way back in is a cost of the program. Where limits conflict, acceleration wins. The core has its own (``limits.cpp``);
+this box is that of the controllers that it is compared with.
 """
 
 from __future__ import annotations
@@ -14,14 +14,11 @@ import numpy as np
 from coopqp.model.cell import JointLimits, RobotCell
 from coopqp.model.limits import BindingLimit, LimitKind
 from coopqp.native.constants import (
-    BRAKING_SHARE,
     HELD_SHARE,
     HELD_SPEED,
     INSIDE,
     LARGEST_MOVE,
-    LIMIT_TOLERANCE,
     RECOVERY_SHARE,
-    STILL_SLOPE,
 )
 from coopqp.spatial import Array
 
@@ -83,30 +80,6 @@ class VelocityBox:
             braking = 2.0 * a * distance / (np.sqrt((a * dt) ** 2 + 2.0 * a * distance) + a * dt)
         return np.where(np.isfinite(a) & np.isfinite(distance), braking, distance / dt)
 
-    def brake_share(self, positions: Array, v: Array, h: float) -> tuple[float, int]:
-        """The share of their speed that joints keep if they brake together now, and the joint that needs it.
-
-        1 and −1 if it suffices to brake together after this step. A joint's own braking distance is not enough: the
-        others may be slower to stop, and they hold one object.
-        """
-        limits, speed = self.limits, np.abs(v)
-        longest = float((speed / limits.acceleration).max())  # of the times that the joints need to stop
-        if longest <= 0.0:
-            return 1.0, -1
-        planned = longest / BRAKING_SHARE
-        room = np.where(v > 0.0, limits.upper - positions, positions - limits.lower)
-        late = (speed * (h + 0.5 * planned) > room) & (room >= 0.0)
-        if not late.any():
-            return 1.0, -1
-        times = np.full(room.shape, np.inf)
-        times[late] = room[late] / speed[late]
-        joint = int(times.argmin())
-        return max(0.0, 1.0 - h / min(max(2.0 * (float(times[joint]) - h), longest), planned)), joint
-
-    def stops_at_once(self, v: Array, h: float) -> bool:
-        """Whether every joint can come to rest within a step."""
-        return bool((np.abs(v) <= self.limits.acceleration * h).all())
-
     def kind_of(self, j: int, sign: float, v_prev: Array, dt: float) -> LimitKind:
         """Which limit makes the bound of joint ``j`` on the side of ``sign``."""
         bound = self.upper.item(j) if sign > 0 else self.lower.item(j)
@@ -124,25 +97,3 @@ class VelocityBox:
         """The limit of joint ``j`` on the side of ``sign``, by name."""
         arm, joint = self._names[j]
         return BindingLimit(arm, joint, self.kind_of(j, sign, v_prev, dt))
-
-
-def rate_interval(base: Array, along: Array, lower: Array, upper: Array) -> tuple[float, float, int] | None:
-    """Rates σ with ``lower ≤ base + σ along ≤ upper``: (low, high, joint that makes high); None if there are none."""
-    still = np.abs(along) < STILL_SLOPE
-    if np.any(still & ((base > upper + LIMIT_TOLERANCE) | (base < lower - LIMIT_TOLERANCE))):
-        return None
-    slope = np.where(still, 1.0, along)
-    ends = np.stack([lower - base, upper - base]) / slope
-    low, high = np.where(still, -np.inf, ends.min(axis=0)), np.where(still, np.inf, ends.max(axis=0))
-    i, j = int(low.argmax()), int(high.argmin())
-    lowest, highest = float(low[i]), float(high[j])
-    # At standstill a rounding error of the box must not look like an empty interval.
-    slack_low, slack_high = (LIMIT_TOLERANCE / abs(float(slope[k])) for k in (i, j))
-    if lowest > highest:
-        if lowest - slack_low > highest + slack_high:
-            return None
-        lowest = highest = 0.5 * (lowest + highest)
-    if highest < 0.0 <= highest + slack_high:
-        highest = 0.0
-        lowest = min(lowest, 0.0)
-    return lowest, highest, j

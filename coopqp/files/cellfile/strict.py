@@ -6,7 +6,7 @@ import dataclasses
 import types
 import typing
 from collections.abc import Mapping
-from typing import Annotated, Any, Literal, Union
+from typing import Annotated, Any, ClassVar, Literal, Union
 
 from annotated_types import Ge, Le, Len
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, create_model, model_validator
@@ -23,12 +23,17 @@ class Table(BaseModel):
     """A table of a cell file. Unknown keys and wrong types are errors; nothing is converted."""
 
     model_config = ConfigDict(extra="forbid", strict=True, frozen=True, allow_inf_nan=False)
+    #: Keys that are no more, and what to do instead.
+    removed: ClassVar[Mapping[str, str]] = {}
 
     @model_validator(mode="before")
     @classmethod
     def _known_keys(cls, data: Any) -> Any:
         if isinstance(data, Mapping):
             unknown = [str(key) for key in data if key not in cls.model_fields]
+            gone = next((key for key in unknown if key in cls.removed), None)
+            if gone is not None:
+                raise problem(f"{gone} is a key no more; {cls.removed[gone][:1].lower()}{cls.removed[gone][1:]}")
             if unknown:
                 near = nearest(unknown[0], cls.model_fields)
                 hint = f"did you mean '{near[0]}'? " if near else ""
@@ -83,7 +88,9 @@ def table_of(
         kind = (replaced or {}).get(item.name) or _file_type(hints[item.name], f"{name}_{item.name}")
         if kind is not None:
             fields[item.name] = (kind | None, Field(None, description=_meaning(texts[item.name], item)))
-    return create_model(name, __base__=Table, __doc__=(options.__doc__ or "").split("\n", 1)[0], **fields)
+    table = create_model(name, __base__=Table, __doc__=(options.__doc__ or "").split("\n", 1)[0], **fields)
+    table.removed = getattr(options, "removed", {})
+    return table
 
 
 def build_options(options: type, values: BaseModel, **replaced: Any) -> Any:

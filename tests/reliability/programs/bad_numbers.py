@@ -28,10 +28,8 @@ BAD = {"NaN": np.nan, "+inf": np.inf, "-inf": -np.inf}
 WILD = {"1e300": 1e300, "-1e300": -1e300, "1e25": 1e25, "1e15": 1e15, "1e-310": 1e-310}
 #: Entries that mean "no bound".
 ABSENT = {("u", "+inf"), ("ub", "+inf"), ("l", "-inf"), ("lb", "-inf")}
-#: Arrays that replace arrays without rows in a form.
+#: Arrays that replace arrays without rows.
 ELSEWHERE = {"A": "C", "b": "g", "C": "A", "l": "lb", "u": "ub"}
-#: Arrays without entries.
-EMPTY = {"condensed": ("A", "b"), "full": ("C", "l", "u")}
 
 
 @dataclass
@@ -153,31 +151,26 @@ def tried(
 
 
 def qp_cases(solver: str, numbers: dict[str, float], tally: Tally, *, holds: bool) -> None:
-    """Spoil one entry of each array of each form of the QP."""
+    """Spoil one entry of each array of the QP."""
     rng = np.random.default_rng(6)
-    forms = ("condensed",) if solver == "ldp" else ("condensed", "full")  # the full form is not strictly convex
-    # The core fills the condensed QP by itself; one scenario suffices for the plain definition's.
-    for scenario, kernel in ((fast_lift(), "auto"), (dual_arm7(), "auto"), (fast_lift(), "plain")):
-        for form in forms if kernel == "auto" else ("condensed",):
-            options = QPOptions(solver=Poison(solver), form=form, shortcut=False, kernel=kernel)
-            for name in ("H", "g", "A", "b", "C", "l", "u", "lb", "ub"):
-                if name in EMPTY[form]:
-                    continue
-                # Absurd data give an absurd optimum; the limits hold even then.
-                one = Poisoned(scenario, options, limits_only=not holds)
-                for _ in range(4):
-                    one.step()  # first steps for set-up and warm start
-                for label, value in numbers.items():
-                    for where in rng.random(2):
-                        entry = (name, float(where), value)
-                        tried(
-                            tally,
-                            f"{scenario.name} {form} {kernel} {name} {label}",
-                            lambda one=one, entry=entry: (one.step(entry), one.took),
-                            one.step,
-                            holds=holds and (name, label) not in ABSENT,
-                        )
-                tally.violations += one.violations()
+    for scenario in (fast_lift(), dual_arm7()):
+        options = QPOptions(solver=Poison(solver), shortcut=False)
+        for name in ("H", "g", "C", "l", "u", "lb", "ub"):  # A and b have no rows
+            # Absurd data give an absurd optimum; the limits hold even then.
+            one = Poisoned(scenario, options, limits_only=not holds)
+            for _ in range(4):
+                one.step()  # first steps for set-up and warm start
+            for label, value in numbers.items():
+                for where in rng.random(2):
+                    entry = (name, float(where), value)
+                    tried(
+                        tally,
+                        f"{scenario.name} {name} {label}",
+                        lambda one=one, entry=entry: (one.step(entry), one.took),
+                        one.step,
+                        holds=holds and (name, label) not in ABSENT,
+                    )
+            tally.violations += one.violations()
 
 
 def input_cases(solver: str, tally: Tally) -> None:
@@ -223,22 +216,21 @@ def target_cases(solver: str, tally: Tally) -> None:
                 tally.not_going_on.append(f"target {label} [{i}]")
     tally.violations += one.violations()
     for make in (fast_lift, dual_arm7, scara_pair):
-        for kernel in ("auto", "plain"):
-            scenario = make()
-            path = SwitchedPath(scenario.path)
-            one = Poisoned(replace(scenario, path=path), QPOptions(solver=solver, kernel=kernel))
-            one.judge(scenario.path)  # judged with the unspoiled poses
-            for _ in range(4):
-                one.step()
-            for label, value in BAD.items():
+        scenario = make()
+        path = SwitchedPath(scenario.path)
+        one = Poisoned(replace(scenario, path=path), QPOptions(solver=solver))
+        one.judge(scenario.path)  # judged with the unspoiled poses
+        for _ in range(4):
+            one.step()
+        for label, value in BAD.items():
 
-                def bad(one: Poisoned = one, path: SwitchedPath = path, value: float = value) -> tuple[Any, float]:
-                    path.bad = value
-                    step = one.step()
-                    path.bad = 0.0
-                    return step, one.took
+            def bad(one: Poisoned = one, path: SwitchedPath = path, value: float = value) -> tuple[Any, float]:
+                path.bad = value
+                step = one.step()
+                path.bad = 0.0
+                return step, one.took
 
-                tried(tally, f"{scenario.name} path {label}, kernel {kernel}", bad, one.step)
+            tried(tally, f"{scenario.name} path {label}", bad, one.step)
 
 
 def main(solver: str, tries: int = 1) -> None:

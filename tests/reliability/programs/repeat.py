@@ -65,7 +65,7 @@ def chase(task: Scenario, steps: int, options: QPOptions) -> Iterator[Any]:
 def all_steps(solver: str, n: int) -> Iterator[Any]:
     """About ``n`` steps: most with default options, some with a QP in every step."""
     usual, solving = QPOptions(solver=solver), QPOptions(solver=solver, shortcut=False)
-    plain = QPOptions(solver=solver, shortcut=False, kernel="plain")
+    plain = QPOptions(solver=solver, shortcut=False)
     limited = at_limit()
     yield from to_and_fro(paper_lift(), int(0.5 * n), usual)
     yield from to_and_fro(dual_arm7(), int(0.2 * n), usual)

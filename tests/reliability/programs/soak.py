@@ -69,7 +69,7 @@ class Shuttle:
 
 def round_of(shuttles: list[Shuttle], limit: Scenario, servo: QPController, rng: np.random.Generator) -> None:
     """Run 100 000 steps."""
-    nominal, redundant, mixed, solving, plain = shuttles
+    nominal, redundant, mixed, solving, own = shuttles
     nominal.go(69_700)
     redundant.go(15_000)
     mixed.go(11_000)
@@ -77,7 +77,7 @@ def round_of(shuttles: list[Shuttle], limit: Scenario, servo: QPController, rng:
     nominal.go(1_000, noise=1e-5, rng=rng)
     nominal.restart()
     solving.go(500)
-    plain.go(300)
+    own.go(300)
     bad = nominal.task.q_start.copy()
     bad[0] = np.nan
     for _ in range(500):
@@ -118,7 +118,7 @@ def main(rounds: int) -> None:
         Shuttle(dual_arm7()),
         Shuttle(mixed_cell()),
         Shuttle(lift, shortcut=False, solver="daqp"),
-        Shuttle(lift, shortcut=False, kernel="plain"),
+        Shuttle(lift, shortcut=False),
     ]
     servo_task = replace(lift, path=ServoPath(lift.path.pose(0.0)))
     servo = QPController(lift.cell, lift.grasp, servo_task.path, dt=0.001)
@@ -128,7 +128,7 @@ def main(rounds: int) -> None:
     for _ in range(rounds):
         round_of(shuttles, limit, servo, rng)
         samples.append(held())
-    print(json.dumps({"samples": samples, "defect": max(s.defect for s in shuttles), "kernel": servo.kernel}))
+    print(json.dumps({"samples": samples, "defect": max(s.defect for s in shuttles)}))
 
 
 if __name__ == "__main__":
