@@ -41,7 +41,7 @@ CONSTANTS = "coopqp/native/constants.py"
 GLUE = (
     "coopqp/control/step/decoding.py",
     "coopqp/control/core/__init__.py",
-    "coopqp/control/core/compiled.py",
+    "coopqp/control/core/loop.py",
     "coopqp/control/core/force_memory.py",
     "coopqp/control/core/memory.py",
     "coopqp/native/__init__.py",

@@ -145,7 +145,7 @@ def _number(name: str, meaning: str) -> Any:
 class ControlStep(Shown):
     """The command of one step, and the reason for it.
 
-    A compiled controller hands out a record of numbers: an attribute is read from it when asked for. Arrays are
+    The core hands out a record of numbers: an attribute is read from it when asked for. Arrays are
     read-only; copy one to change it.
 
     Attributes:

@@ -17,7 +17,7 @@ import numpy as np
 import pinocchio as pin
 
 from coopqp.checks import NOT_NUMBERS, ArrayLike, as_options, as_scalar, as_step, require
-from coopqp.control.core.compiled import CompiledLoop
+from coopqp.control.core.loop import CoreLoop
 from coopqp.control.interface import ControlStep, Status, amend, short_text
 from coopqp.control.lock import alone
 from coopqp.control.operator.calls import OperatorCalls
@@ -90,7 +90,7 @@ class QPController(OperatorCalls):
         self.options = as_options(QPOptions, options, "QPController: options")
         self._checked = Constraints(cell, constraints)
         self.constraints = self._checked.given
-        self._loop = CompiledLoop(cell, grasp, dt=self.dt, options=self.options, constraints=self._checked)
+        self._loop = CoreLoop(cell, grasp, dt=self.dt, options=self.options, constraints=self._checked)
         self.solver = self._loop.solver.name
         self._operator = Operator(cell, grasp, self._loop, path, dt=self.dt, options=self.options)
         self._loop.take_look(self._look)

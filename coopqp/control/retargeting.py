@@ -14,7 +14,7 @@ from coopqp.paths.servo import ServoPath
 
 
 def object_rests(loop: Any, path: ObjectPath) -> bool:
-    """Whether the object rests on its path; ``loop`` is a plain or a compiled one."""
+    """Whether the object rests on its path."""
     return not np.abs(loop.rate * path.twist(loop.clock)).max() > STILL_OBJECT
 
 

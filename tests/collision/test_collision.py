@@ -30,7 +30,6 @@ from coopqp import (
     Knot,
     LimitKind,
     QPController,
-    QPOptions,
     Status,
     check_path,
     find_path,
@@ -79,7 +78,6 @@ def run(scenario: Scenario, scene: CollisionScene, *, acceleration: float = np.i
         scenario.grasp,
         scenario.path,
         dt=scenario.dt,
-        options=QPOptions(),
         constraints=[Clearance(scene)],
     )
     steps: list[Any] = []
@@ -1085,7 +1083,7 @@ def test_a_body_that_comes_on_is_named_and_an_overlap_holds(lift: Scenario) -> N
     cell, dt, middle = lift.cell, 0.004, (lift.path.pose(0.0) * lift.T_object_body).translation
     scene = scene_of(lift, moving=[Body("cart", Sphere(0.1), pin.SE3.Identity())])
     clearance = Clearance(scene)
-    controller = QPController(cell, lift.grasp, lift.path, dt=dt, options=QPOptions(), constraints=[clearance])
+    controller = QPController(cell, lift.grasp, lift.path, dt=dt, constraints=[clearance])
     clearance.move("cart", pin.SE3(np.eye(3), middle + np.array([0.0, 0.0, 0.6])))
     controller.reset(lift.q_start)
     limit = next(limit for limit in clearance.labels if set(limit.between) == {"object", "cart"})
@@ -1138,7 +1136,7 @@ def test_rows_hold_while_nobody_says_where_a_body_is(lift: Scenario) -> None:
     cart = Body("cart", Sphere(0.1), pin.SE3(np.eye(3), np.array([5.0, 0.0, 0.0])))
     scene = CollisionScene.of(replace(blind, cell=cell), margin=MARGIN, moving=[cart])
     clearance = Clearance(scene)
-    controller = QPController(cell, blind.grasp, blind.path, dt=0.004, options=QPOptions(), constraints=[clearance])
+    controller = QPController(cell, blind.grasp, blind.path, dt=0.004, constraints=[clearance])
     controller.reset(blind.q_start)
     for i in range(440):
         if i < 400:

@@ -453,7 +453,7 @@ def test_nonsense_at_the_start_is_a_named_error(name: str) -> None:
     task = paper_lift()
     constraint = nonsense(name, task.cell.nv)
     spoil(constraint, name, task.cell.nv)
-    controller = QPController(task.cell, task.grasp, task.path, dt=DT, options=QPOptions(), constraints=[constraint])
+    controller = QPController(task.cell, task.grasp, task.path, dt=DT, constraints=[constraint])
     with pytest.raises(InvalidInputError, match="constraint"):
         controller.reset(task.q_start)
 

@@ -6,7 +6,7 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from coopqp import Arm, Grasp, LinePath, QPController, QPOptions, Robot, RobotCell, Status
+from coopqp import Arm, Grasp, LinePath, QPController, Robot, RobotCell, Status
 from coopqp.errors import StartWarning
 from coopqp.model import JointLimits
 from coopqp.scenarios import paper_lift, robot_path
@@ -53,7 +53,7 @@ def test_an_elbow_in_the_plane_of_its_arm_rests_beside_a_joint_at_its_limit(outs
     cell = cell.with_limits(upper=upper)
     start, grasp = held(cell, q)
     path = LinePath.displaced(start, translation=(0, 0, -0.1), rotation=(0, 0, 0.2), duration=2.0)
-    controller = QPController(cell, grasp, path, dt=DT, options=QPOptions())
+    controller = QPController(cell, grasp, path, dt=DT)
     if outside:
         with pytest.warns(StartWarning):
             controller.reset(q)

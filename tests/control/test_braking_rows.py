@@ -12,7 +12,7 @@ from marks import slow_but_first
 from promise_cases.braking import ACCELERATIONS, STEPS_WITHOUT, beside_cart, blind, line
 from user_paths import Opaque
 
-from coopqp import LimitKind, LinePath, QPController, QPOptions, Status
+from coopqp import LimitKind, LinePath, QPController, Status
 from coopqp.model import CellState
 from coopqp.scenarios import Scenario, dual_arm7, mixed_cell, ring
 from coopqp.spatial import Array
@@ -43,7 +43,7 @@ def test_a_path_that_is_not_known_ahead_runs_out_of_reach_and_the_arms_stay_toge
     number: int, acceleration: float
 ) -> None:
     task, dt = out_of_reach(number, acceleration), 0.008
-    controller = QPController(task.cell, task.grasp, task.path, dt=dt, options=QPOptions())
+    controller = QPController(task.cell, task.grasp, task.path, dt=dt)
     controller.reset(task.q_start)
     steps = [controller.step() for _ in range(300)]
     assert steps[-1].status in (Status.BLOCKED, Status.SLOWED)

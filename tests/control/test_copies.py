@@ -22,7 +22,6 @@ from coopqp import (
     LinePath,
     ObjectPath,
     QPController,
-    QPOptions,
     ServoPath,
     Status,
     SupervisionOptions,
@@ -225,7 +224,7 @@ def test_a_controller_whose_path_fails_can_be_copied() -> None:
 
 def test_a_copy_before_the_first_reset_has_to_be_reset() -> None:
     task = paper_lift()
-    fresh = QPController(task.cell, task.grasp, task.path, dt=0.005, options=QPOptions())
+    fresh = QPController(task.cell, task.grasp, task.path, dt=0.005)
     other = pickle.loads(pickle.dumps(fresh))
     with pytest.raises(InvalidInputError, match="reset"):
         other.step()

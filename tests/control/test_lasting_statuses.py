@@ -10,7 +10,7 @@ import pinocchio as pin
 import pytest
 from marks import slow_unless
 
-from coopqp import ControlStep, LinePath, ObjectPath, QPController, QPOptions, ServoPath, Status
+from coopqp import ControlStep, LinePath, ObjectPath, QPController, ServoPath, Status
 from coopqp.scenarios import Scenario, mixed_cell, ring
 
 
@@ -68,7 +68,7 @@ def test_a_blocked_object_is_called_so_while_its_target_trembles(seed: int) -> N
 @pytest.mark.parametrize("seed", slow_unless(lambda seed: seed == 1, range(1, 3)))
 def test_on_an_unknown_path_a_status_changes_less_than_twice_a_second(seed: int) -> None:
     task, dt = far(mixed_cell(), seed, 15.0), 0.008
-    controller = QPController(task.cell, task.grasp, Unknown(task.path), dt=dt, options=QPOptions())
+    controller = QPController(task.cell, task.grasp, Unknown(task.path), dt=dt)
     controller.reset(task.q_start)
     steps = [controller.step()]
     while not steps[-1].finished and len(steps) < 300:
@@ -84,7 +84,7 @@ def test_on_an_unknown_path_a_status_changes_less_than_twice_a_second(seed: int)
 def test_an_object_that_was_blocked_is_slowed_as_soon_as_it_goes_on() -> None:
     task = far(ring(arms=2), 1, np.inf)
     start, target = task.path.pose(0.0), task.path.pose(task.path.duration)
-    controller = QPController(task.cell, task.grasp, ServoPath(start, speed=1.0), dt=0.01, options=QPOptions())
+    controller = QPController(task.cell, task.grasp, ServoPath(start, speed=1.0), dt=0.01)
     controller.reset(task.q_start)
     controller.retarget(target)
     steps = [controller.step() for _ in range(300)]

@@ -20,7 +20,7 @@ def test_leaving_a_singularity_in_long_steps(dt: float, bound: float) -> None:
     """One linearisation parted the arms by 0.06 to 0.6 mm here."""
     for task in (at_singularity(), at_singularity("elbow")):
         given = chain_cells.Task(task.cell, task.grasp, task.path, task.q_start)
-        made = QPController(task.cell, task.grasp, task.path, dt=dt, options=QPOptions())
+        made = QPController(task.cell, task.grasp, task.path, dt=dt)
         assert chain_cells.run(made, given, int(1.2 * task.path.duration / dt)).apart <= bound / 10.0
 
 
@@ -42,7 +42,7 @@ def test_the_object_is_on_its_path_where_joints_bound_its_rate(dt: float) -> Non
     cell, start = task.cell.with_limits(acceleration=5.0), task.path.pose(0.0)
     poses = [start, *(start * chain_cells.near(rng, 0.02, 0.05) for _ in range(6))]
     path = WaypointPath(poses, durations=[0.03, 0.2, 0.03, 0.04, 0.3, 0.03], time_law="quintic")
-    made = QPController(cell, task.grasp, path, dt=dt, options=QPOptions())
+    made = QPController(cell, task.grasp, path, dt=dt)
     made.reset(task.q_start)
     oracle, off, apart = chain_cells.Oracle(cell, task.grasp), 0.0, 0.0
     for _ in range(int(8.0 / dt)):
@@ -80,7 +80,7 @@ def test_joints_without_limits_do_not_run_away(kind: str) -> None:
     task, dt = at_singularity(kind), 0.004
     cell = task.cell.with_limits(velocity=np.inf, acceleration=np.inf)
     task = dataclasses.replace(task, cell=cell, path=Blind(task.path))
-    made = QPController(cell, task.grasp, task.path, dt=dt, options=QPOptions())
+    made = QPController(cell, task.grasp, task.path, dt=dt)
     steps: list[ControlStep] = []
     given = chain_cells.Task(cell, task.grasp, task.path, task.q_start)
     run = chain_cells.run(made, given, 500, on=steps.append)

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from marks import slow_but_first
 
-from coopqp import LimitKind, LinePath, QPController, QPOptions, Status
+from coopqp import LimitKind, LinePath, QPController, Status
 from coopqp.paths import TimeLaw
 from coopqp.scenarios import Scenario, at_singularity, paper_lift
 
@@ -19,7 +19,7 @@ def time_along(task: Scenario, quickness: float, law: TimeLaw) -> float:
     """Time in which a path that is so many times quicker than the task's is finished [s]; NaN if it is not."""
     first, last, dt = task.path.pose(0.0), task.path.pose(task.path.duration), 0.005
     path = LinePath(first, last, duration=task.path.duration / quickness, time_law=law)
-    controller = QPController(task.cell, task.grasp, path, dt=dt, options=QPOptions())
+    controller = QPController(task.cell, task.grasp, path, dt=dt)
     controller.reset(task.q_start)
     for i in range(600):
         if controller.step().finished:

@@ -13,7 +13,7 @@ from hypothesis import settings, strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, initialize, rule, run_state_machine_as_test
 from runs import limited_once
 
-from coopqp import ControlStep, InvalidInputError, QPController, QPOptions, Status
+from coopqp import ControlStep, InvalidInputError, QPController, Status
 from coopqp.scenarios import dual_arm7, mixed_cell, paper_lift
 from coopqp.simulation import Monitor, Tolerances
 
@@ -32,8 +32,7 @@ class AnyCall(RuleBasedStateMachine):
     @initialize(make=st.sampled_from([paper_lift, dual_arm7, mixed_cell]))
     def build(self, make: Any) -> None:
         task = limited_once(make, 5.0)
-        options = QPOptions()
-        self.controller = QPController(task.cell, task.grasp, task.path, dt=0.005, options=options)
+        self.controller = QPController(task.cell, task.grasp, task.path, dt=0.005)
         self.controller.reset(task.q_start)
         wide = Tolerances(chain_mm=CHAIN_MM, object_mm=ANYWHERE, object_deg=ANYWHERE)
         self.monitor = Monitor(task.cell, task.grasp, tolerances=wide)

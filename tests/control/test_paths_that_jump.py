@@ -11,7 +11,7 @@ import pytest
 from golden import Golden
 from marks import slow_but_first
 
-from coopqp import ObjectPath, QPController, QPOptions, Status
+from coopqp import ObjectPath, QPController, Status
 from coopqp.scenarios import paper_lift
 from coopqp.spatial import Array
 
@@ -56,7 +56,7 @@ def controller_on(kind: str, acceleration: float) -> tuple[QPController, Told]:
     task = paper_lift()
     path = Told(task.path.pose(0.0), kind)
     cell = task.cell.with_limits(acceleration=acceleration)
-    controller = QPController(cell, task.grasp, path, dt=0.002, options=QPOptions())
+    controller = QPController(cell, task.grasp, path, dt=0.002)
     controller.reset(task.q_start)
     return controller, path
 

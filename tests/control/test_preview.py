@@ -84,12 +84,11 @@ def run_through(task: Scenario) -> Array:
 def test_an_object_that_stops_for_good_is_blocked_a_little_before() -> None:
     """From ten times the blocked rate on; until then it is slowed."""
     task = at_limit()
-    options = QPOptions()
-    controller = QPController(task.cell, task.grasp, task.path, dt=DT, options=options)
+    controller = QPController(task.cell, task.grasp, task.path, dt=DT)
     controller.reset(task.q_start)
     steps = [controller.step() for _ in range(1500)]
     first = next(i for i, step in enumerate(steps) if step.status is Status.BLOCKED)
-    assert steps[first].rate < 10.0 * options.blocked_rate <= steps[first - 1].rate
+    assert steps[first].rate < 10.0 * controller.options.blocked_rate <= steps[first - 1].rate
     assert {step.status for step in steps[first:]} == {Status.BLOCKED}
 
 
@@ -153,7 +152,7 @@ def test_an_object_that_almost_stops_at_a_corner_can_go_on() -> None:
     ]
     path = WaypointPath(poses, durations=[0.03, 0.03], time_law="linear")
     cell = task.cell.with_limits(acceleration=0.2)
-    controller = QPController(cell, task.grasp, path, dt=0.0005, options=QPOptions())
+    controller = QPController(cell, task.grasp, path, dt=0.0005)
     controller.reset(task.q_start)
     steps = [controller.step()]
     while not steps[-1].finished and len(steps) < 5000:
@@ -200,7 +199,7 @@ def test_a_corner_that_a_users_path_does_not_tell_is_taken_like_a_told_one(angle
     cell = task.cell.with_limits(acceleration=5.0)
     for says in (True, False):
         path = Fold(task.path.pose(0.0), angle, says=says)
-        controller = QPController(cell, task.grasp, path, dt=0.004, options=QPOptions())
+        controller = QPController(cell, task.grasp, path, dt=0.004)
         controller.reset(task.q_start)
         steps = [controller.step()]
         while not steps[-1].finished and len(steps) < 600:
@@ -236,7 +235,7 @@ def test_paths_that_are_not_known_ahead_have_no_preview() -> None:
     ]
     for path, known in paths:
         looked = Looked()
-        controller = QPController(task.cell, task.grasp, path, dt=DT, options=QPOptions(), constraints=[looked])
+        controller = QPController(task.cell, task.grasp, path, dt=DT, constraints=[looked])
         controller.reset(task.q_start)
         steps = [controller.step() for _ in range(20)]
         assert any(clock > 0.0 for clock in looked.clocks) is known

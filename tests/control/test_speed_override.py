@@ -21,7 +21,6 @@ from coopqp import (
     LimitKind,
     LinePath,
     QPController,
-    QPOptions,
     ServoPath,
     Status,
     WaypointPath,
@@ -189,7 +188,7 @@ def test_a_copy_keeps_the_reins(way: Callable[[QPController], QPController]) -> 
 def test_the_reins_hold_before_and_after_a_reset_and_a_new_path() -> None:
     for acceleration in (np.inf, 5.0):
         task = limited(paper_lift(), acceleration)
-        controller = QPController(task.cell, task.grasp, task.path, dt=0.002, options=QPOptions())
+        controller = QPController(task.cell, task.grasp, task.path, dt=0.002)
         controller.pause()
         controller.set_override(0.5)
         for bad in (np.nan, -0.1, 1.5, "x"):
@@ -287,7 +286,7 @@ def test_an_object_that_still_moves_is_not_said_to_be_paused() -> None:
         return (arm.T_world_base * data.oMf[frame] * task.grasp.T_object_tool[0].inverse()).translation
 
     for steps_between in (0, 3):
-        controller = QPController(cell, task.grasp, task.path, dt=0.002, options={})
+        controller = QPController(cell, task.grasp, task.path, dt=0.002)
         controller.reset(task.q_start)
         for _ in range(250):
             step = controller.step()

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from coopqp import Clearance, CollisionScene, Knot, QPController, Rank
-from coopqp.control.core.compiled import CompiledLoop
+from coopqp.control.core.loop import CoreLoop
 from coopqp.model import CellState
 from coopqp.scenarios import elbow_and_knob, plate_and_post
 from coopqp.spatial import Array
@@ -48,17 +48,17 @@ def test_the_core_takes_the_ways_that_an_attempt_in_python_takes(
     make: Any, rows: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     taken: list[bool | None] = []
-    own = CompiledLoop.retarget_motion
+    own = CoreLoop.retarget_motion
 
     def counted(loop: Any, *arguments: Any) -> bool | None:
         taken.append(own(loop, *arguments))
         return taken[-1]
 
-    monkeypatch.setattr(CompiledLoop, "retarget_motion", counted)
+    monkeypatch.setattr(CoreLoop, "retarget_motion", counted)
     q, waits = _commands(make, 1, rows=rows)
     assert None not in taken  # the core has decided
     assert True in taken
-    monkeypatch.setattr(CompiledLoop, "retarget_motion", lambda *_: None)
+    monkeypatch.setattr(CoreLoop, "retarget_motion", lambda *_: None)
     attempted, waited = _commands(make, 1, rows=rows)
     assert waits == waited
     np.testing.assert_allclose(q, attempted, atol=1e-8)

@@ -97,7 +97,7 @@ def test_what_an_operator_asks_for_from_another_thread_waits_for_the_next_step(o
 
     def run(ask: Callable[[QPController], None], *, elsewhere: bool) -> list[Any]:
         path: Any = Meeting(paper.path) if own else paper.path
-        made = QPController(paper.cell, paper.grasp, path, dt=0.0075, options={})
+        made = QPController(paper.cell, paper.grasp, path, dt=0.0075)
         made.reset(paper.q_start)
         steps = []
         for i in range(40):
@@ -141,7 +141,7 @@ def elsewhere(call: Callable[[], object]) -> None:
 
 def test_a_step_takes_the_calls_that_wait_when_it_begins(paper: Scenario) -> None:
     """A call that comes while they are made waits for the next step: a caller without a break holds no step."""
-    made = QPController(paper.cell, paper.grasp, paper.path, dt=0.0075, options={})
+    made = QPController(paper.cell, paper.grasp, paper.path, dt=0.0075)
     made.reset(paper.q_start)
     made.step()
     counted = []
@@ -214,7 +214,7 @@ TOO_LATE: dict[str, tuple[Callable[[Any], object], Callable[[Any], object]]] = {
 @pytest.mark.parametrize("forces", [False, True])
 def test_what_cannot_be_done_where_a_call_takes_effect_is_an_event(said: str, forces: bool, paper: Scenario) -> None:
     cell = paper.cell.with_limits(acceleration=5.0)
-    inner = QPController(cell, paper.grasp, paper.path, dt=0.0075, options={})
+    inner = QPController(cell, paper.grasp, paper.path, dt=0.0075)
     made: Any = ForceController(inner, {"stiffness": 1e5}) if forces else inner
     made.reset(paper.q_start)
     while inner.program_clock < 0.4:
@@ -274,7 +274,7 @@ def test_a_users_path_that_fails_while_a_call_waits_raises_in_no_step(call: str,
             return super().pose(clock)
 
     cell, path = paper.cell.with_limits(acceleration=5.0), Fails(paper.path)
-    made = QPController(cell, paper.grasp, path, dt=0.0075, options={})
+    made = QPController(cell, paper.grasp, path, dt=0.0075)
     made.reset(paper.q_start)
     for _ in range(60):
         made.step()

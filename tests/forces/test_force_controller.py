@@ -23,7 +23,6 @@ from coopqp import (
     InvalidInputError,
     LinePath,
     QPController,
-    QPOptions,
     RobotCell,
     Status,
     WaypointPath,
@@ -214,7 +213,7 @@ def test_a_copy_goes_on_bit_for_bit(how: Callable[[Any], Any], steps: int, press
 
 def test_a_length_of_a_step_that_is_refused_moves_no_grasp_further(task: Scenario) -> None:
     """A clock that leaps by 50 s let the grasps give way by 9.6 mm in one step; short numbers count as others do."""
-    inner = QPController(task.cell, task.grasp, task.path, dt=task.dt, options={})
+    inner = QPController(task.cell, task.grasp, task.path, dt=task.dt)
     made = ForceController(inner, {"stiffness": 1e5, "check_time": 0.0, "presses": False})
     made.reset(task.q_start)
     q, push, rng = task.q_start, np.zeros((3, 6)), np.random.default_rng(0)
@@ -241,7 +240,7 @@ def test_a_length_of_a_step_that_is_refused_moves_no_grasp_further(task: Scenari
 
 def test_arms_follow_a_grasp_that_moves(task: Scenario) -> None:
     """The chain closes at the new placements; a copy goes on bit for bit; zeros lead back."""
-    controller = QPController(task.cell, task.grasp, task.path, dt=task.dt, options={})
+    controller = QPController(task.cell, task.grasp, task.path, dt=task.dt)
     controller.reset(task.q_start)
     shift = np.array([1e-3 * np.array([k, -k, 0.5 * k, 0.3 * k, 0.0, k]) for k in range(3)])
     new = [pin.exp6(d) * X for d, X in zip(shift, task.grasp.T_object_tool, strict=True)]
@@ -282,7 +281,7 @@ def test_the_tools_of_the_pseudo_inverse_follow_a_grasp_that_moves(task: Scenari
 
 @pytest.mark.core
 def test_a_grasp_that_moves_as_recorded(task: Scenario, golden: Golden) -> None:
-    made = QPController(task.cell, task.grasp, task.path, dt=task.dt, options={})
+    made = QPController(task.cell, task.grasp, task.path, dt=task.dt)
     made.reset(task.q_start)
     done, rng = golden.of(made), np.random.default_rng(0)
     for _ in range(40):
@@ -338,7 +337,7 @@ def scripted(case: str) -> tuple[ForceController, Array]:
         options |= {"sensor_tolerance": 1e4, "stiffness": 1e4}
     if case == "out of reach":
         options |= {"reach": 2e-5}
-    inner = QPController(task.cell, task.grasp, task.path, dt=task.dt, options={})
+    inner = QPController(task.cell, task.grasp, task.path, dt=task.dt)
     made = ForceController(inner, options)
     made.reset(task.q_start)
     return made, task.q_start
@@ -765,7 +764,7 @@ def test_the_object_stays_where_it_is_until_the_arms_have_relaxed(task: Scenario
     """Off its path, the first command pulled it there with 68 N."""
     off = pin.SE3(np.eye(3), np.array([0.0, 0.0, 1e-3])) * task.path.pose(0.0)
     q = inverse_kinematics(task.cell, task.grasp, off, task.q_start)
-    inner = QPController(task.cell, task.grasp, task.path, dt=task.dt, options={})
+    inner = QPController(task.cell, task.grasp, task.path, dt=task.dt)
     made = ForceController(inner, {"stiffness": STIFF})
     with pytest.warns(StartWarning, match="off its path"):
         made.reset(q)
@@ -781,7 +780,7 @@ def test_back_by_hand_and_on_while_forces_are_relaxed(task: Scenario) -> None:
     """The operator's calls are those of the controller within; the arms go on to relax."""
     cell = task.cell.with_limits(acceleration=5.0)
     world = Elastic(cell, misplaced(cell, task.grasp, {"slave_2": OFF}), late=1)
-    controller = QPController(cell, task.grasp, task.path, dt=task.dt, options=QPOptions())
+    controller = QPController(cell, task.grasp, task.path, dt=task.dt)
     made = ForceController(controller, {"stiffness": STIFF, "check_time": 0.0, "presses": False})
     made.reset(task.q_start)
     commanded, seen = task.q_start, []

@@ -27,7 +27,7 @@ from coopqp import (
     SupervisionOptions,
     WaypointPath,
 )
-from coopqp.control.core import compiled
+from coopqp.control.core.loop import CoreLoop
 from coopqp.control.step import decoding
 from coopqp.control.step.constraint_set import Constraints
 from coopqp.model import CellState
@@ -54,7 +54,7 @@ def loop_of(
     **options: Any,
 ) -> Any:
     """A loop at the start of the scenario."""
-    loop = compiled.CompiledLoop(
+    loop = CoreLoop(
         task.cell,
         task.grasp,
         dt=dt or task.dt,

@@ -9,7 +9,7 @@ import pytest
 from golden import Golden
 from promise_cases.proofs import redundant_task
 
-from coopqp import InvalidInputError, QPController, QPOptions, Status, check_path, simulate
+from coopqp import InvalidInputError, QPController, Status, check_path, simulate
 from coopqp.paths.elbows import Elbows
 from coopqp.planning import PathVerdict
 from coopqp.scenarios import Scenario, dual_arm7
@@ -24,7 +24,7 @@ def test_elbows_that_are_proved_are_followed(seed: int, paper: Scenario) -> None
     led = check.led_path()
     assert led.elbows is not None
     assert led.elbows is not path.elbows
-    controller = QPController(cell, grasp, led, dt=0.02, options=QPOptions())
+    controller = QPController(cell, grasp, led, dt=0.02)
     run = simulate(controller, q_start=q)
     assert run.finished
     assert not (run.status == Status.BLOCKED.code).any()
@@ -44,7 +44,7 @@ def test_elbows_are_followed_as_recorded(golden: Golden) -> None:
     task = dual_arm7(duration=1.0)
     led = check_path(task.cell, task.grasp, task.path, q_start=task.q_start).led_path()
     assert led.elbows is not None
-    made = QPController(task.cell, task.grasp, led, dt=0.02, options=QPOptions())
+    made = QPController(task.cell, task.grasp, led, dt=0.02)
     made.reset(task.q_start)
     golden.of(made).run(100)
 

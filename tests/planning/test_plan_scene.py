@@ -17,7 +17,6 @@ from coopqp import (
     CollisionScene,
     InvalidInputError,
     QPController,
-    QPOptions,
     TimedPath,
     check_path,
     plan,
@@ -107,7 +106,7 @@ def test_a_plan_beside_bodies_is_tracked_at_full_rate() -> None:
     assert again.keeps_clear
     slowed = []
     for path in (again, TimedPath.of_record({**made.path.record(), "keeps_clear": False})):
-        controller = QPController(cell, task.grasp, path, dt=0.01, constraints=[Clearance(scene)], options=QPOptions())
+        controller = QPController(cell, task.grasp, path, dt=0.01, constraints=[Clearance(scene)])
         run = simulate(controller, q_start=made.q_start)
         slowed.append(int((np.asarray(run.rate) < 1.0 - 1e-9).sum()))
     assert slowed[0] == 0
@@ -127,7 +126,7 @@ def test_elbows_that_have_to_evade_are_planned_to() -> None:
     assert path.elbows is not None
     assert made.path.elbows is not None
     np.testing.assert_array_equal(path.elbows.packed(), made.path.elbows.packed())
-    controller = QPController(cell, task.grasp, path, dt=0.004, constraints=[Clearance(scene)], options=QPOptions())
+    controller = QPController(cell, task.grasp, path, dt=0.004, constraints=[Clearance(scene)])
     run = simulate(controller, q_start=made.q_start)
     assert run.finished
     assert (np.asarray(run.rate) >= 1.0 - 1e-9).all()

@@ -22,7 +22,6 @@ from coopqp import (
     InvalidInputError,
     LinePath,
     QPController,
-    QPOptions,
     RobotCell,
     WaypointPath,
     find_start,
@@ -301,8 +300,7 @@ def test_a_start_outside_limits_is_said_until_the_arm_is_inside(paper: Scenario)
         upper = paper.cell.limits.upper.copy()
         upper[8] = paper.q_start[8] - np.deg2rad(degrees)
         cell = paper.cell.with_limits(upper=upper)
-        options = QPOptions()
-        controller = QPController(cell, paper.grasp, HoldPath(paper.path.start), dt=0.01, options=options)
+        controller = QPController(cell, paper.grasp, HoldPath(paper.path.start), dt=0.01)
         controller.reset(paper.q_start)
         first = controller.step()
         said = f"arm slave_1 started outside its limits: joint_3 is {degrees:.1f}° outside"

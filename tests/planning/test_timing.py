@@ -375,7 +375,7 @@ def test_a_path_rests_at_corners() -> None:
 
 def run(scenario: Scenario, path: ObjectPath, *, dt: float) -> tuple[list[Any], float, float]:
     """Steps to the end, and the largest chain and path errors [m]."""
-    controller = QPController(scenario.cell, scenario.grasp, path, dt=dt, options=QPOptions())  # type: ignore[arg-type]
+    controller = QPController(scenario.cell, scenario.grasp, path, dt=dt)  # type: ignore[arg-type]
     controller.reset(scenario.q_start)
     steps, chain, away = [], 0.0, 0.0
     while not steps or not steps[-1].finished:

@@ -132,7 +132,7 @@ def test_bounds_of_a_tool_that_moves_on_a_moving_object_hold(rng: np.random.Gene
 
 def test_two_arms_open_a_part_while_a_third_lifts_it() -> None:
     task, program = pliers()
-    controller = QPController(task.cell, task.grasp, program, dt=0.005, options={})
+    controller = QPController(task.cell, task.grasp, program, dt=0.005)
     monitor = Monitor(task.cell, task.grasp)
     controller.reset(task.q_start)
     rng, away, done = np.random.default_rng(3), 0.0, False
@@ -163,7 +163,7 @@ def test_two_arms_open_a_part_while_a_third_lifts_it() -> None:
 @pytest.mark.core
 def test_tools_that_move_as_recorded(golden: Golden) -> None:
     task, program = pliers()
-    controller = QPController(task.cell, task.grasp, program, dt=0.006, options={})
+    controller = QPController(task.cell, task.grasp, program, dt=0.006)
     controller.reset(task.q_start)
     done = golden.of(controller)
     asked = {120: lambda made: made.set_override(0.3), 220: lambda made: made.reverse()}

@@ -37,7 +37,7 @@ def two_halves(**more: Any) -> tuple[Any, Program]:
 
 
 def started(task: Any, program: Program, dt: float = 0.005) -> QPController:
-    controller = QPController(task.cell, task.grasp, program, dt=dt, options={})
+    controller = QPController(task.cell, task.grasp, program, dt=dt)
     controller.reset(task.q_start)
     return controller
 
@@ -232,7 +232,7 @@ def test_every_scenario_that_is_a_program_runs_to_its_end(name: str) -> None:
 @pytest.mark.parametrize("name", PROGRAMS)
 def test_every_program_as_recorded(name: str, golden: Golden) -> None:
     task = PROGRAMS[name]()
-    controller = QPController(task.cell, task.grasp, task.path, dt=0.01, options={})
+    controller = QPController(task.cell, task.grasp, task.path, dt=0.01)
     controller.reset(task.q_start)
     golden.of(controller, 1e-8).run(150)
 

@@ -95,7 +95,7 @@ def test_importing_says_nothing() -> None:
 
 @pytest.mark.parametrize(
     "first",
-    slow_but_first(["coopqp.collision.clearance", "coopqp.control.core.compiled"]),
+    slow_but_first(["coopqp.collision.clearance", "coopqp.control.core.loop"]),
 )
 def test_no_room_has_to_be_imported_before_another(first: str) -> None:
     """The command imports bodies before controllers, programs the other way round."""

@@ -162,7 +162,7 @@ def test_a_previewed_object_is_never_said_to_be_off_its_path(catalogue: Any) -> 
     for make in (paper_lift, mixed_cell, dual_arm7, five_joint_pair, MAKES[4]):
         for acceleration in (np.inf, 10.0, 5.0):
             task = limited_once(make, acceleration)
-            controller = QPController(task.cell, task.grasp, task.path, dt=0.003, options=QPOptions())
+            controller = QPController(task.cell, task.grasp, task.path, dt=0.003)
             controller.reset(task.q_start)
             for _ in range(1000):
                 step = controller.step()
@@ -187,7 +187,7 @@ def test_a_start_off_the_grasp_or_the_path_is_said(catalogue: Any, count: Any) -
     rng, silent, cases, wrong = np.random.default_rng(3), 0, 0, 0
     while cases < count(30):
         task = limited_once(MAKES[cases % 4], float(rng.choice([np.inf, 10.0])))
-        controller = QPController(task.cell, task.grasp, task.path, dt=0.005, options=QPOptions())
+        controller = QPController(task.cell, task.grasp, task.path, dt=0.005)
         q = task.cell.moved(task.q_start, 10.0 ** rng.uniform(-4.0, -2.0) * rng.standard_normal(task.cell.nv))
         O = task.grasp.carried(CellState(task.cell, q))
         start = task.path.pose(0.0)
@@ -222,7 +222,7 @@ def test_a_start_outside_limits_is_said(catalogue: Any, count: Any) -> None:
         j, by = int(rng.integers(task.cell.nv)), float(10.0 ** rng.uniform(-4.0, -1.0))
         lower[j], upper[j] = (x[j] - 1.0, x[j] - by) if i % 2 else (x[j] + by, x[j] + 1.0)
         task = dataclasses.replace(task, cell=task.cell.with_limits(lower=lower, upper=upper))
-        controller = QPController(task.cell, task.grasp, task.path, dt=0.005, options=QPOptions())
+        controller = QPController(task.cell, task.grasp, task.path, dt=0.005)
         arm, _, joint = task.cell.joint_names[j].partition("/")
         words = f"arm {arm} started outside its limits: {joint}"
         silent += (words not in said_at_reset(controller, task.q_start)) + (words not in controller.step().explain())

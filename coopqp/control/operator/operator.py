@@ -60,7 +60,7 @@ class Operator:
 
     Args:
         cell, grasp: the arms, and how they hold the object.
-        loop: the plain or the compiled one; it follows :attr:`way`.
+        loop: what makes the steps; it follows :attr:`way`.
         program: the object's path.
         dt: nominal length of a step [s].
         options: of the controller.

@@ -50,7 +50,7 @@ _ASK = layout.OUTCOMES.index("ASK")
 
 
 @final
-class CompiledLoop:
+class CoreLoop:
     """Observes, proposes and commits, over the memory of one core.
 
     Args:
