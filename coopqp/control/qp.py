@@ -648,6 +648,7 @@ class QPController(OperatorCalls):
         return state | own | {"memory": self._loop.memory()}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
+        state.pop("kernel", None)  # of version 0.2, whose memory is another one: that is what the error says
         names = ("started", "outside", "operator", "shift", "memory")
         started, outside, operator, shift, memory = (state.pop(name) for name in names)
         # the path may fail for a while: that is no reason not to be copied

@@ -266,6 +266,14 @@ def test_a_debugger_changes_no_step() -> None:
     assert not traced.q.flags.writeable
 
 
+def test_a_copy_that_version_0_2_made_is_refused() -> None:
+    state = built(paper_lift(), dt=DT).__getstate__()
+    state |= {"kernel": "compiled", "memory": state["memory"][:-1]}
+    other = object.__new__(QPController)
+    with pytest.raises(InvalidInputError, match=r"its memory is of another version\. Build and reset a new one"):
+        other.__setstate__(state)
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("run", ["looking ahead", "measured", "in fault"])
 def test_another_process_goes_on_with_the_same_bits(run: str, tmp_path: Path) -> None:
