@@ -73,7 +73,7 @@ static double least_broken(const Core *c, bool all, const double *base, const do
     double more;
     *by = 0.0;
     if (broken(c, all, base, along, low, &more) <= LIMIT_TOLERANCE) return low;
-    high = fmax(low, fmin(high, 1.0));
+    high = max_of(low, min_of(high, 1.0));
     for (int i = 0; i < BISECTIONS; i++) { /* the largest excess is a convex function of the share */
         const double middle = 0.5 * (low + high), excess = broken(c, all, base, along, middle, &more);
         if (more < 0.0 && excess > 0.0) low = middle;
@@ -89,9 +89,9 @@ static double slowdown(const Core *c, double h) {
     double reach = INFINITY;
     for (int j = 0; j < c->joints; j++) {
         const double speed = fabs(c->velocity[j]);
-        if (speed > 1e-12) reach = fmin(reach, c->acceleration[j] * h / speed);
+        if (speed > 1e-12) reach = min_of(reach, c->acceleration[j] * h / speed);
     }
-    return reach == INFINITY ? 0.0 : 1.0 - fmin(reach, 1.0);
+    return reach == INFINITY ? 0.0 : 1.0 - min_of(reach, 1.0);
 }
 
 /* The first of these that keeps the hard rows is taken, else the one that breaks the soft rows by the least. */
@@ -121,7 +121,7 @@ static void brake_now(Core *c) {
     object += self;
     const Vector6 present = turned_back(c->pose->R, twist);
     const double size = mean.dot(metric.cwiseProduct(mean));
-    const double rate = size > 0.0 ? fmax(mean.dot(metric.cwiseProduct(present)) / size, 0.0) : 0.0;
+    const double rate = size > 0.0 ? max_of(mean.dot(metric.cwiseProduct(present)) / size, 0.0) : 0.0;
     for (int k = 0; k < c->arms; k++) w.col(k) = rate * turned(c->pose->R, along.col(k));
     floored_velocities(c, w, path);
     path += self;
@@ -135,10 +135,10 @@ static void brake_now(Core *c) {
                 Rates rates;
                 double by;
                 if (!admissible_rates(c, *base, *motion, hard ? ONLY_HARD_ROWS : NO_ROWS, &rates)) continue;
-                if (!(rates.high >= fmax(rates.low, 0.0))) continue;
-                const double share = least_broken(c, false, *base, *motion, fmax(rates.low, 0.0), rates.high, &by);
+                if (!(rates.high >= max_of(rates.low, 0.0))) continue;
+                const double share = least_broken(c, false, *base, *motion, max_of(rates.low, 0.0), rates.high, &by);
                 if (!(by < least)) continue;
-                least = by, c->command = *base + share * *motion, p->new_rate = fmin(share * rate, 1.0);
+                least = by, c->command = *base + share * *motion, p->new_rate = min_of(share * rate, 1.0);
             }
     if (least == INFINITY) {
         double by;

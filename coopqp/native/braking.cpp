@@ -120,16 +120,16 @@ static Vector6 bend(const Core *c, int k, const double *jacobian, const Vector &
 
 /* How fast an edge with this room may come closer, that does so at a speed s and that accelerations change by `most`. */
 static double edge_speed(double room, double s, double most, double h, double T) {
-    room = fmax(room, 0.0), s = fmax(s, 0.0);
-    const double a = EDGE_SHARE * fmax(s, most * h) / T;
+    room = max_of(room, 0.0), s = max_of(s, 0.0);
+    const double a = EDGE_SHARE * max_of(s, most * h) / T;
     const double stopping = sqrt(a * h * (a * h) + 2.0 * a * room) - a * h;
-    return fmax(fmin(room / fmax(APPROACH_TIME, APPROACH_STEPS * h), stopping), (1.0 - h / T) * s);
+    return max_of(min_of(room / max_of(APPROACH_TIME, APPROACH_STEPS * h), stopping), (1.0 - h / T) * s);
 }
 
 /* The largest speed of a joint in this step. */
 static double reachable(const Core *c, int j, double h) {
     const double speed = fabs(c->velocity[j]);
-    return fmin(fmax(speed, fmin(c->speed[j], speed + c->acceleration[j] * h)), FASTEST_JOINT);
+    return min_of(max_of(speed, min_of(c->speed[j], speed + c->acceleration[j] * h)), FASTEST_JOINT);
 }
 
 /* Add a row whose numbers are in place, if an admissible velocity could break it. */
@@ -175,7 +175,7 @@ static void brake_together(Core *c) {
     Vector needed(c->scratch + 6 * c->arms, c->joints, 1), nothing(needed + c->joints, c->joints, 1);
     double T = h, size = 0.0;
     int worst = 0;
-    for (int j = 0; j < c->joints; j++) T = fmax(T, fabs(v[j]) / c->plan_acceleration[j]);
+    for (int j = 0; j < c->joints; j++) T = max_of(T, fabs(v[j]) / c->plan_acceleration[j]);
     carry_and_linearise(c, c->positions, c->carried[0].p, nullptr, c->jacobian);
     needed.setZero();
     for (int k = 0; k < c->arms; k++) {
@@ -197,7 +197,7 @@ static void brake_together(Core *c) {
     for (int j = 0; j < c->joints; j++) {
         const double x = c->positions[j], most = c->plan_acceleration[j];
         const double up = edge_speed(c->high[j] - x, v[j], most, h, T), down = edge_speed(x - c->low[j], -v[j], most, h, T);
-        if (!(reachable(c, j, h) > fmin(up, down))) continue;
+        if (!(reachable(c, j, h) > min_of(up, down))) continue;
         next_row(c)[j] = 1.0;
         add_row(c, -down, up, c->arms + j);
     }
@@ -220,7 +220,7 @@ static void brake_together(Core *c) {
         G[j] /= size;
         reach += fabs(G[j]) * reachable(c, j, h);
     }
-    const double upper = fmax(sqrt(most_bent / used), 1.0 - h / T) * size;
+    const double upper = max_of(sqrt(most_bent / used), 1.0 - h / T) * size;
     const bool soft = gives_way(c) && c->proposal->hold == 0.0 && used <= BEND_GIVES_WAY_TO;
     if (reach > upper) add_row(c, -INFINITY, upper, c->arms + c->joints + worst, soft ? BEND_GIVES_WAY : GIVES_WAY);
 }

@@ -64,10 +64,10 @@ static double bound(const Core *c, double *twists, int n) {
     Eigen::Map<Matrix6X> of(twists, 6, n);
     double linear = 0.0, angular = 0.0;
     for (int k = 0; k < n; k++) {
-        linear = fmax(linear, of.col(k).head<3>().squaredNorm());
-        angular = fmax(angular, of.col(k).tail<3>().squaredNorm());
+        linear = max_of(linear, of.col(k).head<3>().squaredNorm());
+        angular = max_of(angular, of.col(k).tail<3>().squaredNorm());
     }
-    const double excess = fmax(sqrt(linear) / c->options->correction_speed, sqrt(angular) / c->options->correction_spin);
+    const double excess = max_of(sqrt(linear) / c->options->correction_speed, sqrt(angular) / c->options->correction_spin);
     if (excess > 1.0) of /= excess;
     return maximum(excess, 1.0);
 }
@@ -78,7 +78,7 @@ static bool asked_to_shift(const Core *c) { return c->loop->has_predicted != 0.0
 /* c_k, c_p, and b_k: the error of the last linearisation; beyond what that step foresaw it is left over. Gains take away
  * no more than the whole error in a step. What was asked of the grasps is no error: it is made up for in this step. */
 static void corrections(Core *c, double h) {
-    const double grasp_gain = fmin(c->options->grasp_gain, 1.0 / h), path_gain = fmin(c->options->path_gain, 1.0 / h);
+    const double grasp_gain = min_of(c->options->grasp_gain, 1.0 / h), path_gain = min_of(c->options->path_gain, 1.0 / h);
     const bool asked = asked_to_shift(c), predicted = c->loop->has_predicted != 0.0;
     c->common = common_error(c, c->errors);
     const Vector6 bend = predicted ? bend_of_errors(c->errors.col(0), c->predicted.col(0)) : Vector6::Zero();
@@ -215,7 +215,7 @@ static void by_rotations(Symmetric &G, Symmetric &V) {
         for (int a = 0; a < size - 1; a++)
             for (int b = a + 1; b < size; b++) {
                 const double g = G(a, b);
-                off = fmax(off, fabs(g));
+                off = max_of(off, fabs(g));
                 if (!(fabs(g) > SMALL_ROTATION * trace)) continue;
                 const double half = 0.5 * (G(b, b) - G(a, a)) / g;
                 const double t = copysign(1.0, half) / (fabs(half) + sqrt(half * half + 1.0));
@@ -237,7 +237,7 @@ static double least_by_rotations(Symmetric G, Column *u) {
     by_rotations(G, V);
     const double found = G.diagonal().minCoeff(&least);
     *u = V.row(least).transpose();
-    return fmax(found, 0.0);
+    return max_of(found, 0.0);
 }
 
 /* The (pseudo-)inverse P (n, m) of J (m, n) of least Σ (v/scale)², in which small singular values count as the floor. */
@@ -251,8 +251,8 @@ static void floored_inverse(const Columns &J, const Units &W, TallRows &P) {
     else G = A.lazyProduct(A.transpose());
     by_rotations(G, V);
     for (Eigen::Index i = 0; i < n; i++) {
-        const double s = fmax(sqrt(fmax(G(i, i), 0.0)), SINGULAR_FLOOR * SINGULAR_FLOOR);
-        V.row(i) /= sqrt(s * fmax(s, SINGULAR_FLOOR));
+        const double s = max_of(sqrt(max_of(G(i, i), 0.0)), SINGULAR_FLOOR * SINGULAR_FLOOR);
+        V.row(i) /= sqrt(s * max_of(s, SINGULAR_FLOOR));
     }
     const Square inverse = V.transpose().lazyProduct(V);
     P = A.transpose();
@@ -448,7 +448,7 @@ static void posture_velocity(Core *c, const double *positions, double *v) {
         for (int m = 0; m < c->group[i].shared; m++) {
             const int j = c->group[i].joint[m];
             v[j] = to_target(j);
-            excess = fmax(excess, fabs(v[j]) / c->posture_cap[j]);
+            excess = max_of(excess, fabs(v[j]) / c->posture_cap[j]);
         }
     for (int k = 0; k < c->arms; k++) {
         const ArmJoints &a = joints_of(c, k);
@@ -464,7 +464,7 @@ static void posture_velocity(Core *c, const double *positions, double *v) {
                 moved[j] = positions[j] - step;
                 v[j] += o->manipulability * (up - manipulability(c, k, moved, jacobian)) / (2.0 * step);
             }
-            excess = fmax(excess, fabs(v[j]) / c->posture_cap[j]);
+            excess = max_of(excess, fabs(v[j]) / c->posture_cap[j]);
         }
     }
     if (excess > 1.0) velocity /= excess;

@@ -28,7 +28,7 @@ static Matrix6 range_of(const Core *c, int k) {
     ArmSquare G = J.transpose().lazyProduct(J), V;
     by_rotations(G, V);
     for (int i = 0; i < J.cols(); i++) {
-        const double s = sqrt(fmax(G(i, i), 0.0));
+        const double s = sqrt(max_of(G(i, i), 0.0));
         if (s > SINGULAR_FLOOR) U.col(i) = J.lazyProduct(V.row(i).transpose()) / s;
     }
     return U;

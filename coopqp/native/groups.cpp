@@ -1,4 +1,5 @@
-/* Arms that share joints: a group is one redundant arm, whose tools are those of all of them. See "Joints that arms share" in docs/derivations.md. */
+/* Arms that share joints: a group is one redundant arm, whose tools are those of all of them. See
+ * "Joints that arms share" in docs/derivations.md. */
 
 #include "functions.h"
 

@@ -37,12 +37,12 @@ static double hasty_by_now(Core *c, const Vector6 &velocity, double dt) {
     const Vector6 change = (velocity - c->lag_told) / (HASTE_FILTER + dt);
     c->lag_told += dt * change;
     const double hasty = w->lag_suspects != 0.0 ? 0.0 : change.norm();
-    return w->lag_haste = fmax(hasty, w->lag_haste * SERVO_PEAK / (SERVO_PEAK + dt));
+    return w->lag_haste = max_of(hasty, w->lag_haste * SERVO_PEAK / (SERVO_PEAK + dt));
 }
 
 /* off and the part of it behind its command that a lag within the bounds explains */
 static Vector6 unexplained(const Core *c, const Vector6 &off, double behind, double speed) {
-    return off + fmin(fmax(behind, c->watch->lag_low * speed), c->watch->lag_high * speed) * c->lag_way;
+    return off + min_of(max_of(behind, c->watch->lag_low * speed), c->watch->lag_high * speed) * c->lag_way;
 }
 
 /* The arm whose grasp is the farthest. */
@@ -59,11 +59,11 @@ static int farthest_grasp(const Core *c, const Vector6 &rest) {
 /* The lag lies within these bounds; they, and the deviation at rest, drift by a share of the way. */
 static void learn_lag(Core *c, const Vector6 &off, double behind, double speed, double margin, double dt) {
     Watch *w = c->watch;
-    w->lag_high = fmin(fmin(w->lag_high + LARGEST_SLOPE * dt, LONGEST_LAG), fmax((behind + margin) / speed, 0.0));
-    w->lag_low = fmax(fmax(w->lag_low - LARGEST_SLOPE * dt, (behind - margin) / speed), 0.0);
+    w->lag_high = min_of(min_of(w->lag_high + LARGEST_SLOPE * dt, LONGEST_LAG), max_of((behind + margin) / speed, 0.0));
+    w->lag_low = max_of(max_of(w->lag_low - LARGEST_SLOPE * dt, (behind - margin) / speed), 0.0);
     if (w->lag_low > w->lag_high) w->lag_low = w->lag_high = 0.5 * (w->lag_low + w->lag_high);
     const Vector6 rest = unexplained(c, off, behind, speed);
-    c->lag_base += fmin(LARGEST_SLOPE * speed * dt / fmax(rest.norm(), 1e-300), 1.0) * rest;
+    c->lag_base += min_of(LARGEST_SLOPE * speed * dt / max_of(rest.norm(), 1e-300), 1.0) * rest;
 }
 
 static void watch_lag(Core *c, double dt, Seen *seen) {
@@ -72,7 +72,7 @@ static void watch_lag(Core *c, double dt, Seen *seen) {
     if (!told_velocity(c, velocity)) return;
     const Vector6 mean = mean_where(c->holding, c->deviation);
     const double hasty = hasty_by_now(c, velocity, dt), speed = velocity.norm();
-    const int moves = speed > LAG_SLOWEST, rests = fmax(speed, c->lag_told.norm()) <= LAG_SLOWEST;
+    const int moves = speed > LAG_SLOWEST, rests = max_of(speed, c->lag_told.norm()) <= LAG_SLOWEST;
     if (w->lag_begun == 0.0) { /* what moves shows no deviation at rest */
         if (rests) c->lag_base = mean, w->lag_begun = dt, w->lag_high = LONGEST_LAG;
         return;
@@ -83,7 +83,7 @@ static void watch_lag(Core *c, double dt, Seen *seen) {
     const double behind = -off.dot(c->lag_way);
     if (w->lag_begun < LAG_LEARNS) {
         w->lag_begun += dt;
-        w->lag_soft = fmax(w->lag_soft, (off + clamp(behind, 0.0, LAG * speed) * c->lag_way).norm());
+        w->lag_soft = max_of(w->lag_soft, (off + clamp(behind, 0.0, LAG * speed) * c->lag_way).norm());
     }
     const double lag = moves ? clamp(behind / speed, w->lag_low, w->lag_high) : w->lag_high;
     const double margin = (w->lag_suspects != 0.0 ? LET_GO : 1.0) * LAG_FLOOR + w->lag_noise + w->lag_soft +

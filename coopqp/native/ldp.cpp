@@ -92,7 +92,7 @@ static int ldp_attempt(int n, int m, const double *rows, const double *low, cons
     for (int iterations = 0;; ) {
         /* The row that is broken most. */
         const double squared = s.w.head(s.k).squaredNorm(); /* ‖x‖² */
-        double worst = fmax(tolerance, ROW_ROUNDING * (1.0 + sqrt(squared))), sum = 0.0, side = 0.0, bound = 0.0;
+        double worst = max_of(tolerance, ROW_ROUNDING * (1.0 + sqrt(squared))), sum = 0.0, side = 0.0, bound = 0.0;
         int p = -1;
         for (int i = 0; i < m + n; i++) {
             const double value = i < m ? row(i).dot(x) : x[i - m];
@@ -121,7 +121,7 @@ static int ldp_attempt(int n, int m, const double *rows, const double *low, cons
                 const int i = s.active[j];
                 const int equality = i < m ? low[i] == high[i] : lb[i - m] == ub[i - m];
                 if (!equality && s.r[j] > DEPENDENT && s.u[j] < step * s.r[j])
-                    step = fmax(s.u[j] / s.r[j], 0.0), first = j;
+                    step = max_of(s.u[j] / s.r[j], 0.0), first = j;
             }
             if (length > 0.0 && gap <= step * length * length) {
                 const int k = s.k++;

@@ -22,7 +22,7 @@ static bool stops_within(double speed, double d, double a, double h) {
 static double fastest(const Core *c, int j, double h) {
     if (c->most_move[j] == INFINITY) return c->speed[j];
     const double most = c->most_move[j] / h;
-    return c->proposal->hold != 0.0 ? fmin(most, fmax(HELD_SPEED, HELD_SHARE * fabs(c->velocity[j]))) : most;
+    return c->proposal->hold != 0.0 ? min_of(most, max_of(HELD_SPEED, HELD_SHARE * fabs(c->velocity[j]))) : most;
 }
 
 /* The box lower ≤ v ≤ upper, never empty; where limits conflict, acceleration wins. From outside a position limit it only
@@ -35,8 +35,8 @@ static int box(Core *c, double h) {
         if (!(up >= 0.0 && down >= 0.0 && isfinite(v))) inside = 0;
         const double speed = fastest(c, j, h), most_up = minimum(speed, v + a * h), most_down = minimum(speed, a * h - v);
         double upper = speed, lower = -speed; /* a stop binds where a step could reach its speed */
-        if (!stops_within(most_up, up, a, h)) upper = fmin(speed, stopping_speed(fmax(up, 0.0), a, h));
-        if (!stops_within(most_down, down, a, h)) lower = -fmin(speed, stopping_speed(fmax(down, 0.0), a, h));
+        if (!stops_within(most_up, up, a, h)) upper = min_of(speed, stopping_speed(max_of(up, 0.0), a, h));
+        if (!stops_within(most_down, down, a, h)) lower = -min_of(speed, stopping_speed(max_of(down, 0.0), a, h));
         if (isfinite(a)) {
             upper = clamp(upper, v - a * h, v + a * h);
             lower = clamp(lower, v - a * h, v + a * h);
@@ -148,7 +148,7 @@ static int admissible_rates(const Core *c, const double *base, const double *alo
     }
     if (rates->high < 0.0 && rates->high + rates->high_slack >= 0.0) {
         rates->high = 0.0;
-        rates->low = fmin(rates->low, 0.0);
+        rates->low = min_of(rates->low, 0.0);
     }
     return 1;
 }
@@ -159,8 +159,8 @@ static int ray(Core *c, double cap) {
     Vector base(c->scratch, c->joints, 1);
     base = c->command - cap * c->along_velocity;
     if (!admissible_rates(c, base, c->along_velocity, ALL_ROWS, &rates)) return 0;
-    if (!(rates.high >= fmax(rates.low, 0.0) && rates.low <= 1.0)) return 0;
-    const double rate = rates.high < cap ? rates.high : fmax(cap, rates.low);
+    if (!(rates.high >= max_of(rates.low, 0.0) && rates.low <= 1.0)) return 0;
+    const double rate = rates.high < cap ? rates.high : max_of(cap, rates.low);
     c->proposal->binding_row = rates.high < cap ? rates.row : -1.0;
     c->proposal->binding_side = rates.side;
     c->proposal->new_rate = rate;
@@ -183,7 +183,7 @@ static LimitKind kind_of(const Core *c, int j, double side, double h) {
  * keep if they brake now. A joint's own distance is not enough: the others may be slower, and they hold one object. */
 static double brake_share(const Core *c, double h, int *joint) {
     double longest = 0.0, left = INFINITY;
-    for (int j = 0; j < c->joints; j++) longest = fmax(longest, fabs(c->velocity[j]) / c->acceleration[j]);
+    for (int j = 0; j < c->joints; j++) longest = max_of(longest, fabs(c->velocity[j]) / c->acceleration[j]);
     if (longest <= 0.0) return 1.0;
     const double planned = longest / BRAKING_SHARE;
     for (int j = 0; j < c->joints; j++) {
@@ -193,7 +193,7 @@ static double brake_share(const Core *c, double h, int *joint) {
             left = room / speed, *joint = j;
     }
     if (left == INFINITY) return 1.0;
-    return fmax(0.0, 1.0 - h / fmin(fmax(2.0 * (left - h), longest), planned));
+    return max_of(0.0, 1.0 - h / min_of(max_of(2.0 * (left - h), longest), planned));
 }
 
 static bool stops_at_once(const Core *c, double h) {

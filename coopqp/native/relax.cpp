@@ -130,7 +130,7 @@ static Vector3 turn_back(Minding *m, const Vector3 &velocity, const Vector3 &off
     const bool against = -velocity.dot(off) >= HEAD_ON * speed * size && speed > 0.0;
     m->back_speed = maximum(speed, CONTACT_BACK);
     m->back_owed = speed * m->contact_late, m->back_from = NAN, m->goes_on = 0.0;
-    return against ? Vector3(velocity / -speed) : Vector3(off / fmax(size, 1e-12));
+    return against ? Vector3(velocity / -speed) : Vector3(off / max_of(size, 1e-12));
 }
 
 /* `backs`, the speed at which the object goes back now: until nothing pushes it any more. */
@@ -147,7 +147,7 @@ static void contact(int arms, const MindingArrays &f, double dt) {
     Minding *m = f.m;
     TravelOf<Vector3> &travel = *f.travel;
     PushOf<Vector3> &push = *f.push;
-    const double since = fmax(m->reference_dt, 1e-6);
+    const double since = max_of(m->reference_dt, 1e-6);
     if (!(m->contact_limit < INFINITY)) return;
     const Vector3 place = f.reference->p + f.reference->R * *f.centre;
     if (m->stage < MOVING) {
@@ -157,8 +157,8 @@ static void contact(int arms, const MindingArrays &f, double dt) {
         const Vector3 velocity = (place - travel.place) / since, change = (velocity - travel.velocity) / since;
         travel.place = place, travel.velocity = velocity;
         travel.acceleration += dt / (dt + m->wrench_filter) * (change - travel.acceleration);
-        m->load_speed = fmax(velocity.norm(), m->load_speed * PUSHES_FADE / (PUSHES_FADE + dt));
-        m->load_haste = fmax(change.norm(), m->load_haste * SERVO_PEAK / (SERVO_PEAK + dt));
+        m->load_speed = max_of(velocity.norm(), m->load_speed * PUSHES_FADE / (PUSHES_FADE + dt));
+        m->load_haste = max_of(change.norm(), m->load_haste * SERVO_PEAK / (SERVO_PEAK + dt));
     }
     Vector3 force = Vector3::Zero();
     for (int k = 0; k < arms; k++) force += f.unfed_of.block<3, 6>(6 * k, 6 * k).lazyProduct(f.seen.col(k));
@@ -167,7 +167,7 @@ static void contact(int arms, const MindingArrays &f, double dt) {
     push.now += dt / (dt + CONTACT_FILTER) * (now - push.now);
     if (m->stage < MOVING) push.before += dt / (dt + CONTACT_SETTLES) * (now - push.before);
     if (m->stage < MOVING) return;
-    const double share = clamp(push.now.dot(push.before) / fmax(push.before.squaredNorm(), 1e-12), 0.0, 1.0);
+    const double share = clamp(push.now.dot(push.before) / max_of(push.before.squaredNorm(), 1e-12), 0.0, 1.0);
     const Vector3 sum = push.now - share * push.before;
     m->pushed = sum.norm();
     const double limit = (m->touches != 0.0 ? LET_GO : 1.0) * m->contact_limit;

@@ -59,10 +59,10 @@ static double haste(Core *c, Minding *m, double dt) {
     double most = 0.0;
     for (int j = 0; j < c->joints; j++) {
         const double change = (c->velocity[j] - c->told_velocity[j]) / (HASTE_FILTER + dt);
-        most = fmax(most, fabs(change));
+        most = max_of(most, fabs(change));
         c->told_velocity[j] += dt * change;
     }
-    m->haste = fmax(m->suspected != 0.0 ? 0.0 : most, m->haste * SERVO_PEAK / (SERVO_PEAK + dt));
+    m->haste = max_of(m->suspected != 0.0 ? 0.0 : most, m->haste * SERVO_PEAK / (SERVO_PEAK + dt));
     return m->haste;
 }
 
@@ -81,8 +81,8 @@ static void watch_servos(Core *c, const Twists &away, double dt, Seen *seen) {
     f.off_servos += dt / (time + dt) * (at_grasps - f.off_servos);
     if (m->servo_samples < FEW_SAMPLES) return;
     from_others(c->holding, f.off_servos, apart);
-    const double most = fmax((apart - f.off_drift).cwiseAbs().maxCoeff(), 1e-300);
-    f.off_drift += fmin(LARGEST_SLOPE * m->way_done / most, 1.0) * (apart - f.off_drift); /* the load is shared otherwise */
+    const double most = max_of((apart - f.off_drift).cwiseAbs().maxCoeff(), 1e-300);
+    f.off_drift += min_of(LARGEST_SLOPE * m->way_done / most, 1.0) * (apart - f.off_drift); /* the load is shared otherwise */
     apart -= f.off_drift;
     int arm = 0;
     for (int k = 1; k < c->arms; k++)

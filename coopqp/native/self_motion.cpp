@@ -11,7 +11,7 @@
 
 /* Put the units of the self-motions that the QP's solution asks for into the columns; 0 where they may stay. */
 static int shrink_units(Core *c, double h) {
-    const double time = fmax(APPROACH_TIME, APPROACH_STEPS * h);
+    const double time = max_of(APPROACH_TIME, APPROACH_STEPS * h);
     const Given x(c->x, c->unknowns);
     OfRows columns = columns_of(c);
     Twists bends(c->scratch, 6, c->arms);

@@ -23,7 +23,7 @@ static double straight(Way *w) {
     const Matrix3 R = exp3(gone.tail<3>()) * w->T.R;
     w->turn = rotation_vector(R.transpose() * w->goal.R);
     w->line = w->goal.p - w->T.p - gone.head<3>();
-    const double nominal = fmax(w->line.norm() / w->speed, w->turn.norm() / w->spin);
+    const double nominal = max_of(w->line.norm() / w->speed, w->turn.norm() / w->spin);
     w->full.setZero();
     if (nominal < NOWHERE) return 0.0;
     w->full = both(w->line, R * w->turn) / nominal;
@@ -49,7 +49,7 @@ static double largest_speed(const Core *c, const double *before, const double *a
     for (int i = SPEEDS; i > 0; i--) {
         const double share = (double)i / SPEEDS;
         *change = 0.0;
-        for (int j = 0; j < c->joints; j++) *change = fmax(*change, fabs(share * after[j] - before[j]));
+        for (int j = 0; j < c->joints; j++) *change = max_of(*change, fabs(share * after[j] - before[j]));
         if (i == 1 || 0.5 * share * (*change + share * most) <= nominal) return share;
     }
     return 0.0;
@@ -69,24 +69,24 @@ static int way_to(Core *c, Way *w, double clock, double *segment) {
         for (int j = 0; j < c->joints; j++)
             if (!isfinite(c->acceleration[j])) { /* no joint stops from more than its full speed */
                 const double speed = isfinite(c->speed[j]) ? c->speed[j] : 1.0;
-                end = fmax(end, fmin(fabs(after[j]), speed / (CHANGE_SHARE * c->plan_acceleration[j])));
+                end = max_of(end, min_of(fabs(after[j]), speed / (CHANGE_SHARE * c->plan_acceleration[j])));
             }
-        duration = fmax(fmax(nominal + 0.5 * end, end), SHORTEST_CHANGE);
+        duration = max_of(max_of(nominal + 0.5 * end, end), SHORTEST_CHANGE);
     } else {
         double share = 1.0, nominal = 0.0, change = 0.0;
         w->full.setZero();
         if (!efforts(c, w, s.jacobian, before, after)) return 0;
-        w->begin = fmax(largest_size(before, c->joints), SHORTEST_CHANGE);
+        w->begin = max_of(largest_size(before, c->joints), SHORTEST_CHANGE);
         for (int pass = 0; pass < 4; pass++) { /* the way begins where the present motion has died away */
             nominal = straight(w);
             if (!efforts(c, w, s.jacobian, before, after)) return 0;
             share = largest_speed(c, before, after, nominal, &change);
-            w->begin = fmax(change, SHORTEST_CHANGE);
+            w->begin = max_of(change, SHORTEST_CHANGE);
         }
         nominal = straight(w);
         if (!efforts(c, w, s.jacobian, before, after)) return 0;
-        end = fmax(share * largest_size(after, c->joints), SHORTEST_CHANGE);
-        duration = fmax(nominal / share + 0.5 * (w->begin + end), w->begin + end);
+        end = max_of(share * largest_size(after, c->joints), SHORTEST_CHANGE);
+        duration = max_of(nominal / share + 0.5 * (w->begin + end), w->begin + end);
     }
     *reinterpret_cast<Pose *>(segment) = w->T;
     Eigen::Map<Vector6>(segment + 12) = both(w->turn, w->line);
@@ -147,7 +147,7 @@ static int admits(Core *c, const double *numbers, double rate, int needed, int r
     if (!needed) return 1;
     const int found = first_step(c, rows);
     if (found <= 0) return found;
-    return fmin(c->proposal->cap, c->proposal->new_rate) >= rate - RATE_TOLERANCE && !jumps(c, c->command);
+    return min_of(c->proposal->cap, c->proposal->new_rate) >= rate - RATE_TOLERANCE && !jumps(c, c->command);
 }
 
 static int go_over(Core *c, const double *goal, double speed, double spin, double rate, double *numbers, int rows) {

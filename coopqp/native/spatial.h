@@ -10,6 +10,9 @@
 /* One instruction each, where fmax and fmin are calls. A `y` that is no number counts for nothing. */
 static inline double maximum(double x, double y) { return y > x ? y : x; }
 static inline double minimum(double x, double y) { return y < x ? y : x; }
+/* As fmax and fmin: of a number and of none the number. */
+static inline double max_of(double x, double y) { return x > y || !(y == y) ? x : y; }
+static inline double min_of(double x, double y) { return x < y || !(y == y) ? x : y; }
 
 static inline double clamp(double x, double low, double high) { return x < low ? low : (x > high ? high : x); }
 

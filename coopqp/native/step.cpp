@@ -110,7 +110,7 @@ static int goes_back(Core *c) {
     const Proposal *p = c->proposal;
     Minding *m = c->minding;
     if (!m || m->backs == 0.0 || m->sensor_fault != SENSORS_FINE) return 0;
-    const double gain = fmin(c->options->path_gain, 1.0 / p->dt);
+    const double gain = min_of(c->options->path_gain, 1.0 / p->dt);
     if ((p->hold != 0.0 && p->reason != TOUCHING) || !(gain > 0.0) || p->has_errors == 0.0) return 0;
     const Vector3 way = c->pose->R.transpose() * minding_of(c->arms, m).push->back;
     const double far = way.dot(common_error(c, c->errors).head<3>());
@@ -134,7 +134,7 @@ static int ask_for_path(Core *c, double h, double *far) {
     if (c->path_numbers[2] != 0.0) return 1;
     if (!path_pose(c, c->loop->clock + h, later)) return 0;
     const double now = pose_distance(*c->pose, c->carried[0]); /* of the object as the first arm carries it */
-    *far = fmax(pose_distance(*c->pose, later), now - *away);
+    *far = max_of(pose_distance(*c->pose, later), now - *away);
     if (*far <= FASTEST_PATH * h) *away = now;
     return 1;
 }
@@ -194,7 +194,7 @@ static double rate_asked(const Core *c) { return c->loop->pause != 0.0 ? 0.0 : c
 static double blind_brake(const Core *c) {
     double tightest = 0.0;
     for (int j = 0; j < c->joints; j++)
-        tightest = fmax(tightest, fabs(c->velocity[j]) / (BRAKING_SHARE * c->acceleration[j]));
+        tightest = max_of(tightest, fabs(c->velocity[j]) / (BRAKING_SHARE * c->acceleration[j]));
     return tightest > 0.0 ? c->loop->rate / tightest : INFINITY;
 }
 
@@ -209,7 +209,7 @@ static double reined_rate(const Core *c, double h) {
         fall = preview_brake(c, c->loop->clock, h, rate);
     else if (accelerates(c))
         fall = blind_brake(c);
-    return fmax(share, rate - fall * h);
+    return max_of(share, rate - fall * h);
 }
 
 /* The null-space motion stops while the object is paused, and goes on after it. */
@@ -217,16 +217,16 @@ static void ease_wishes(Core *c, double h) {
     double *ease = &c->loop->ease;
     const double change = c->options->rein_slope * h;
     if (rate_asked(c) < c->options->blocked_rate)
-        *ease = fmax(*ease - change, 0.0);
+        *ease = max_of(*ease - change, 0.0);
     else if (*ease < 1.0)
-        *ease = fmin(*ease + change, 1.0);
+        *ease = min_of(*ease + change, 1.0);
 }
 
 /* A rate that a step will not exceed, whatever the path ahead allows. */
 static double most_rate(const Core *c, double h) {
-    const double rate = c->loop->rate, most = fmin(c->proposal->watch_cap, fmax(rate_asked(c), rate));
+    const double rate = c->loop->rate, most = min_of(c->proposal->watch_cap, max_of(rate_asked(c), rate));
     const double risen = rate + c->options->rise * h;
-    return rate < 1.0 && risen < 1.0 - RATE_ROUNDING ? fmin(most, risen) : most;
+    return rate < 1.0 && risen < 1.0 - RATE_ROUNDING ? min_of(most, risen) : most;
 }
 
 /* The fastest rate that the path ahead, the supervision and the last rate allow, and its cause. */
@@ -254,7 +254,7 @@ static void find_cap(Core *c) {
     if (rate < 1.0 && c->options->looks_ahead != 0.0) {
         int joint = -1;
         const double most = sees(c) ? preview_rise(c, c->loop->clock, &joint) : INFINITY;
-        const double rise = fmin(c->options->rise, most);
+        const double rise = min_of(c->options->rise, most);
         if (rate + rise * h < p->cap - RATE_ROUNDING) {
             const int by_joint = joint >= 0 && !(most > c->options->rise);
             cap_rate(c, rate + rise * h, by_joint ? ACCELERATION : NONE, -1);
@@ -322,7 +322,7 @@ static Vector6 defect(const Core *c, int k, const Vector &v) {
 static double missed(const Core *c, double h) {
     double most = 0.0;
     for (int k = 0; k < c->arms; k++)
-        most = fmax(most, (defect(c, k, c->command) - c->foresees.col(k)).cwiseAbs().maxCoeff());
+        most = max_of(most, (defect(c, k, c->command) - c->foresees.col(k)).cwiseAbs().maxCoeff());
     return most * h;
 }
 
@@ -337,7 +337,7 @@ static double parting_speed(const Core *c) {
         const Vector6 along = grasps_move(c) ? Vector6(c->own_along.col(k)) : Vector6(c->along);
         const Vector6 common = c->off_path + p->new_rate * along + p->path_share * c->path +
                                p->grasp_share * c->grasp.col(k) + c->offsets.col(k);
-        most = fmax(most, (turned_back(c->pose->R, made.col(k)) - common).head<3>().norm());
+        most = max_of(most, (turned_back(c->pose->R, made.col(k)) - common).head<3>().norm());
     }
     return most;
 }
@@ -507,7 +507,7 @@ struct Pace {
 static int look_at_pace(Core *c) {
     Proposal *p = c->proposal;
     const double h = p->dt, rest = c->duration - c->loop->clock, rate = p->new_rate, span = p->span;
-    double way = fmin(h * fmax(rate, LEAST_PACE), rest);
+    double way = min_of(h * max_of(rate, LEAST_PACE), rest);
     if (p->paces == MOST_PACES || c->loop->path_lost != 0.0) return 0;
     if (!(rate > 0.0 && fabs(way - span) > SAME_PACE * way)) return 0;
     const bool few = some_have_few(c);
@@ -529,7 +529,7 @@ static int look_at_pace(Core *c) {
             const double slope = (saved - p->last_saved) / (span - p->last_span);
             if (slope > 0.0) way = span - saved / slope;
         }
-        known = look_along(c, fmin(clamp(way, h * LEAST_PACE, h), rest));
+        known = look_along(c, min_of(clamp(way, h * LEAST_PACE, h), rest));
     }
     if (!(other && known)) {
         c->along = before, p->span = span;
@@ -558,8 +558,8 @@ static Outcome propose_capped(Core *c) {
     const int corner = sees(c) && next_breakpoint(c, clock) <= clock + h * p->cap;
     /* Else at the rate that is expected: it goes on to change as it did. */
     const double expected = c->loop->rate + c->loop->rate_slope * h;
-    const double pace = corner ? p->cap : fmin(p->cap, fmax(expected, 0.0));
-    const double span = fmin(h * fmax(pace, LEAST_PACE), rest);
+    const double pace = corner ? p->cap : min_of(p->cap, max_of(expected, 0.0));
+    const double span = min_of(h * max_of(pace, LEAST_PACE), rest);
     if (c->loop->path_lost != 0.0 || !look_along(c, span)) {
         c->along.setZero(), c->own_along.setZero();
         if (p->watch_cap > 0.0) refuse(c, PATH_FAILED, -1, clock);

@@ -128,8 +128,8 @@ static void keep_where_lost(Core *c, const double *q, Twists &away) {
 static double noise_seen(const Core *c, double *samples, Twists &last, Twists &last_step, double *noise,
                          const Twists &away, double dt) {
     double largest = 0.0;
-    *samples = fmin(*samples + 1.0, NOISE_TIME / dt);
-    const double gain = 1.0 / fmax(*samples - 2.0, 1.0);
+    *samples = min_of(*samples + 1.0, NOISE_TIME / dt);
+    const double gain = 1.0 / max_of(*samples - 2.0, 1.0);
     for (int k = 0; k < away.cols(); k++) {
         const Vector6 step = away.col(k) - last.col(k), bend = step - last_step.col(k);
         last.col(k) = away.col(k), last_step.col(k) = step;
@@ -148,7 +148,7 @@ static double shrink_drift(Core *c, double *change) {
     double *drifts = c->slow_drift;
     for (int i = 0; i < 6 * c->arms; i++) {
         double *drift = drifts + i, shrunk = 0.0;
-        if (change[i] * *drift < 0.0) shrunk = copysign(fmin(fabs(change[i]), fabs(*drift)), change[i]);
+        if (change[i] * *drift < 0.0) shrunk = copysign(min_of(fabs(change[i]), fabs(*drift)), change[i]);
         *drift += shrunk;
         change[i] -= shrunk;
         largest = larger(largest, fabs(change[i]));
@@ -175,10 +175,10 @@ static void update_drift(Core *c, const Twists &apart, double noise, double spee
     const double largest = shrink_drift(c, change);
     const double share = largest > most ? most / largest : 1.0;
     c->slow_drift = (c->slow_drift + share * change).cwiseMax(-limit).cwiseMin(limit);
-    w->var_drift = fmax(w->var_drift - scale * hb * hb, 0.0);
+    w->var_drift = max_of(w->var_drift - scale * hb * hb, 0.0);
     w->covariance -= scale * hb * hc;
     /* Too fast for a drift: the lag may have changed. */
-    w->var_lag = largest > most ? LAG * LAG : fmax(w->var_lag - scale * hc * hc, LEAST_LAG * LEAST_LAG);
+    w->var_lag = largest > most ? LAG * LAG : max_of(w->var_lag - scale * hc * hc, LEAST_LAG * LEAST_LAG);
 }
 
 /* Distances without the drift. */
@@ -205,7 +205,7 @@ static void follow_drift(Core *c, const Twists &apart, double dt, Twists &out) {
     c->watch->drift_started = 1.0;
     c->minding->way_done = way;
     out = apart - c->slow_drift;
-    const double share = fmin((LARGEST_SLOPE * way + GROWS * dt) / fmax(out.cwiseAbs().maxCoeff(), 1e-300), 1.0);
+    const double share = min_of((LARGEST_SLOPE * way + GROWS * dt) / max_of(out.cwiseAbs().maxCoeff(), 1e-300), 1.0);
     c->slow_drift = (c->slow_drift + share * out).cwiseMax(-limit).cwiseMin(limit);
     out = apart - c->slow_drift;
 }
@@ -273,7 +273,7 @@ static int most_out_of_step(const Core *c, const Twists &out_of_step, double lar
     double most = -1.0;
     int arm = -1;
     for (int k = 0; k < c->arms; k++)
-        if (as_far(out_of_step, k, largest)) most = fmax(most, own_distance(c, k));
+        if (as_far(out_of_step, k, largest)) most = max_of(most, own_distance(c, k));
     for (int k = c->arms - 1; k >= 0; k--)
         if (as_far(out_of_step, k, largest) && own_distance(c, k) > most - EQUALLY_FAR && (arm < 0 || arm != last))
             arm = k;
@@ -301,7 +301,7 @@ static void watch_distances(Core *c, const double *q, const Twists &away_given, 
     count_far(c, away, apart, out_of_step, unfiltered);
     const double largest = sqrt(largest_square(out_of_step));
     const double worst = largest - o->noise_margin * noise;
-    c->watch->lag_noise = o->noise_margin * noise / sqrt(fmax(c->holding.sum(), 1.0)) + fmax(worst, 0.0); /* see watch_lag() */
+    c->watch->lag_noise = o->noise_margin * noise / sqrt(max_of(c->holding.sum(), 1.0)) + max_of(worst, 0.0); /* see watch_lag() */
     if (worst <= o->slow_from || c->watch->samples < FEW_SAMPLES) return;
     const int arm = most_out_of_step(c, out_of_step, largest);
     hold_for(seen, OUT_OF_STEP_BY, arm, out_of_step.col(arm).norm(), 0.0);
@@ -327,7 +327,7 @@ static void remember(Core *c, const double *positions) {
     memcpy(slot, positions, sizeof(double) * joints);
     memcpy(slot + joints, c->positions, sizeof(double) * joints);
     w->past_head = w->past_head + 1.0 < c->past ? w->past_head + 1.0 : 0.0;
-    w->past_count = fmin(w->past_count + 1.0, c->past);
+    w->past_count = min_of(w->past_count + 1.0, c->past);
 }
 
 /* The least of the largest motions that the joints of arm k were commanded to make in as many samples, now or up to LAG ago: one
@@ -338,8 +338,8 @@ static double least_told(const Core *c, int k, double told) {
     for (int i = 1; i <= late; i++) {
         const double *from = sample_before(c, samples + i) + c->joints, *to = sample_before(c, i) + c->joints;
         double most = 0.0;
-        for (int m = 0; m < n; m++) most = fmax(most, fabs(to[joint_behind(c, k, m)] - from[joint_behind(c, k, m)]));
-        told = fmin(told, most);
+        for (int m = 0; m < n; m++) most = max_of(most, fabs(to[joint_behind(c, k, m)] - from[joint_behind(c, k, m)]));
+        told = min_of(told, most);
     }
     return told;
 }
@@ -364,8 +364,8 @@ static void let_go_who_caught_up(Core *c, const double *gap) {
     for (int k = 0; k < c->arms; k++) any |= c->stalled[k] != 0.0;
     if (!any) return;
     for (int k = 0; k < c->arms; k++) {
-        c->widest[k] = fmax(c->widest[k], gap[k]);
-        if (gap[k] < fmax(CAUGHT_UP, CAUGHT_UP_SHARE * c->widest[k])) c->stalled[k] = 0.0;
+        c->widest[k] = max_of(c->widest[k], gap[k]);
+        if (gap[k] < max_of(CAUGHT_UP, CAUGHT_UP_SHARE * c->widest[k])) c->stalled[k] = 0.0;
     }
 }
 
@@ -522,7 +522,7 @@ static double straightness(const Core *c, int k, const Twists &jacobian, const V
     Vector6 way = Vector6::Zero(), scaled = back;
     for (int i = 0; i < joints_behind(c, k); i++) way += c->way[joint_behind(c, k, i)] * jacobian.col(joint_behind(c, k, i));
     way.tail<3>() *= TURN_LENGTH, scaled.tail<3>() *= TURN_LENGTH;
-    return scaled.dot(way) / fmax(scaled.norm() * way.norm(), 1e-300);
+    return scaled.dot(way) / max_of(scaled.norm() * way.norm(), 1e-300);
 }
 
 /* At rest, the arm that the total wrench puts straight back along its way does not follow its command. */
@@ -591,7 +591,7 @@ static int read_forces(Core *c, const double *positions, double dt) {
 static double force_soon(Core *c, int k, double dt) {
     c->slow_forces[k] += dt / (PACE_TIME + dt) * (c->forces[k] - c->slow_forces[k]);
     if (!(c->forces[k] >= LET_GO * c->options->force_limit)) return c->forces[k];
-    return c->forces[k] + SOON / PACE_TIME * fmax(c->forces[k] - c->slow_forces[k], 0.0);
+    return c->forces[k] + SOON / PACE_TIME * max_of(c->forces[k] - c->slow_forces[k], 0.0);
 }
 
 /* Arms that press too hard on the object, or soon will, hold it until they press less than half as hard. */

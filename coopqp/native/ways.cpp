@@ -83,14 +83,14 @@ static void along_ways(const Core *c, double clock, double before, const double 
 
 /* What the joints of these arms are to do in a step, per unit of rate and beside it: along the way, and back onto it. */
 static void wish_along_ways(Core *c, double clock, double span, double h) {
-    const double gain = c->proposal->hold != 0.0 ? 0.0 : fmin(c->options->grasp_gain, 1.0 / h);
+    const double gain = c->proposal->hold != 0.0 ? 0.0 : min_of(c->options->grasp_gain, 1.0 / h);
     double now[MOST_JOINTS], later[MOST_JOINTS], speed[MOST_JOINTS], unused[MOST_JOINTS];
     for (int k = 0; k < c->arms; k++) {
         if (!follows_way(c, k)) continue;
         const ArmJoints &a = joints_of(c, k);
         const double *way = way_at(c, k, clock);
         on_way(c, way, clock, now, speed);
-        on_way(c, way, fmin(clock + span, way[2]), later, unused);
+        on_way(c, way, min_of(clock + span, way[2]), later, unused);
         for (int i = 0; i < a.n; i++) {
             c->null_along[a.own(i)] = span > 1e-12 ? (later[i] - now[i]) / span : speed[i];
             c->null_offset[a.own(i)] = gain * (now[i] - c->positions[a.own(i)]);
