@@ -233,15 +233,14 @@ def test_what_does_not_fit_is_refused_when_it_is_built() -> None:
 @pytest.mark.core
 def test_arms_follow_their_joints_as_recorded(case: str, preview: bool, golden: Golden) -> None:
     task = lift()
-    program = out_and_back(task, rests=case != "moves", duration={"fast": 0.6}.get(case, 2.0))
+    program = out_and_back(task, rests=case != "moves", duration={"fast": 0.8}.get(case, 2.0))
     if case == "samples":
         x, at = own(task, task.q_start), np.linspace(0.0, 1.0, 9)
         way = JointPath.through(3.0 * at, x + np.sin(np.pi * at)[:, None] * ELSEWHERE)
         back = {"slave_2": Travels(to=task.grasp.T_object_tool[2], retreat_m=0.0)}
         phases = [Phase("go", arms={"slave_2": FollowsJoints(way)}), Phase("back", arms=back, duration=0.5)]
         program = Program(task.cell, task.grasp, [*phases, Phase("lift", path=task.path)])
-    # Of arms that are commanded apart by as much rounding decides which are named.
-    options: dict[str, Any] = {"supervision": {"apart_from": None}} | ({} if preview else {"preview": None})
+    options: dict[str, Any] = {} if preview else {"preview": None}
     done = golden.of(started(task, program, **options))
     for i in range(1200):
         if case == "back" and i == 120:
