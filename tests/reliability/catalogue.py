@@ -26,7 +26,7 @@ REASONS: tuple[tuple[str, str, str], ...] = (
     ("A3", "", "one target for all rows; several joints outside, and other solvers, need most"),
     ("A4", "", _ROUNDING),
     ("A7", "unreachable", "how soon depends on the way in; ten steps are few to an operator"),
-    ("A9", "random paths", "one target for all rows; the one joint at its limit needs most"),
+    ("A9", "", "one target for all rows; random paths need most"),
     ("B", "5 %", _ROUNDING + ": lost samples change nothing where the encoders are true"),
     ("B", "base off by 1 mm and 0.1°, 0.3 m up and down for 10 min: drift", _ROUNDING),
     ("B", "grasp off", _ROUNDING + ": what is latched is kept"),

@@ -109,7 +109,7 @@ def sharing(catalogue: Any, what: str, found: list[Sharing], note: str = "") -> 
     steps = sum(s.steps for s in found)
     spread, angle = max(s.spread for s in found), max(s.angle for s in found)
     catalogue.row("A9", f"{what}: spread of path rate", cases=steps, measured=spread, target=1e-6, note=note)
-    catalogue.row("A9", f"{what}: direction of the object", cases=steps, measured=angle, target=0.04, unit="°")
+    catalogue.row("A9", f"{what}: direction of the object", cases=steps, measured=angle, target=0.01, unit="°")
 
 
 @pytest.mark.slow
@@ -133,5 +133,5 @@ def test_random_paths_too_fast(
     name = f"random paths, {'speed' if np.isinf(acceleration) else 'speed and acceleration'} limited"
     steps, note = sum(s.steps for s in found), f"path rates differ by {max(s.spread for s in found):.1g} at most"
     angle, chain = max(s.angle for s in found), max(s.chain_mm for s in found)
-    catalogue.row("A9", f"{name}: direction of the object", cases=steps, measured=angle, target=0.04, unit="°")
+    catalogue.row("A9", f"{name}: direction of the object", cases=steps, measured=angle, target=0.01, unit="°")
     catalogue.row("A9", f"{name}: chain error", cases=steps, measured=chain, target=3e-4, unit="mm", note=note)
