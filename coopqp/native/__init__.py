@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+from importlib import import_module
+from typing import Any
+
 from coopqp.errors import MissingCoreError, removed
 
 try:
-    from coopqp.native import _core as _core
+    _core: Any = import_module("coopqp.native._core")  # whose error says more than that of a name
 except ImportError as error:
     raise MissingCoreError(str(error)) from error
-
 
 _ONE = "there is no other than the compiled core, and coopqp --version names its version"
 __getattr__ = removed(__name__, {"kernel_text": _ONE, "available_kernels": _ONE})

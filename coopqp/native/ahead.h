@@ -40,14 +40,10 @@ static void name_cause(Cause &cause, LimitKind kind, int arm, int joint) {
 
 /* The arm of a joint; of a shared one the first that has it. */
 static int arm_of(const Core *c, int joint) {
-    int k = 0;
-    for (int i = 0; c->groups && k < c->arms; k++, i = 0) {
-        while (i < joints_behind(c, k) && joint_behind(c, k, i) != joint) i++;
-        if (i < joints_behind(c, k)) return k;
-    }
-    k = 0;
-    while (k + 1 < c->arms && c->arm_start[k + 1] <= joint) k++;
-    return k;
+    for (int k = 0; k < c->arms; k++)
+        for (int i = 0; i < joints_behind(c, k); i++)
+            if (joint_behind(c, k, i) == joint) return k;
+    return 0;
 }
 
 /* -- sharing.cpp ---------------------------------------------------------------------------------------- */

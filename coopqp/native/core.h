@@ -131,7 +131,8 @@ struct Arithmetic {
     int (*least_distance)(int n, int m, const double *A, const double *low, const double *high, const double *lb,
                           const double *ub, double reach, double *x, double *y, double *work);
     /* Go over to the way to a new target if the rate of its first step need not fall, or where the object rests: 1, with
-     * the path in `numbers`; 0 if not yet; −1 where the rows of constraints are not known: an attempt in Python then asks for them. `full` is the largest rate asked for. */
+     * the path in `numbers`; 0 if not yet; −1 where the rows of constraints are not known: an attempt in
+     * Python then asks for them. `full` is the largest rate asked for. */
     int (*go_over)(Core *c, const double *goal, double speed, double spin, double rate, double *numbers, int rows);
     /* The relaxation of forces, in its own memory; see relax.cpp and allow.cpp. `wrenches` may be nullptr. */
     Hearing (*relax)(int arms, Minding *m, const double *wrenches, double dt);

@@ -120,7 +120,7 @@ def _fields(text: str) -> tuple[tuple[str, str], ...]:
 
 #: The fields of each block: name and size, in C++. A size that begins with a struct is of a field of such structs.
 CONFIG = _fields(
-    "arm_start n; arm_size n; arm_group n; link_R 9 * nv; link_p 3 * nv; pitch nv; continuous nv; q_index nv; "
+    "arm_group n; link_R 9 * nv; link_p 3 * nv; pitch nv; continuous nv; q_index nv; "
     "object 12 * n; tool_p 3 * n; scale nv; places 12 * n; shares 6 * n; holding n; "
     "low nv; high nv; speed nv; acceleration nv; unit unknowns; at_grasps 36; levers 3 * n; softness nv; "
     "posture_cap nv; posture_bounded nv; posture_middle nv; "

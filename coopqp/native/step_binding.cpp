@@ -125,7 +125,6 @@ static bool take_arm(BoundCore *c, int k, const double *moves, const std::vector
     }
     if (a.n == 0 || (a.shared > 0 && !(c->arm_group[k] >= 0.0))) return false;
     a.start = a.own(0), a.in_line = a.own(a.n - 1) == a.start + a.n - 1;
-    c->arm_start[k] = a.start, c->arm_size[k] = a.n;
     c->all_arms.push_back(a);
     return true;
 }
@@ -343,7 +342,7 @@ static bool ends_after_ways(const Core &core, const double *numbers, Py_ssize_t 
         if (end - at < WAY_HEAD) return false;
         const double *way = numbers + at;
         if (!(way[0] >= 0.0 && way[0] < core.arms && way[6] >= 2.0 && way[6] < 1e6)) return false;
-        at += WAY_HEAD + (1 + 2 * (Py_ssize_t)core.arm_size[(int)way[0]]) * (Py_ssize_t)way[6];
+        at += WAY_HEAD + (1 + 2 * (Py_ssize_t)core.arm_joints[(int)way[0]].n) * (Py_ssize_t)way[6];
     }
     return at == end;
 }

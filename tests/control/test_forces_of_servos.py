@@ -10,7 +10,7 @@ import pinocchio as pin
 import pytest
 from cells import grasp_at
 from odd_cells import one_on_the_first_of_two
-from torsos import robot_of
+from torsos import columns_of, regular, robot_of
 
 from coopqp import LinePath, QPController, RobotCell, Status, SupervisionOptions
 from coopqp.model import CellState
@@ -22,24 +22,6 @@ DT = 0.02
 GAP = 5e-4  # [m]
 #: What the compliance of the arms' structure makes of it, which is beside that of their servos.
 SOFT = 0.02
-
-
-def regular(cell: RobotCell, rng: np.random.Generator) -> Array:
-    """A configuration in which no arm's own joints are near a singularity."""
-    while True:
-        q = cell.configuration(rng.uniform(-1.2, 1.2, cell.nv))
-        state, own = CellState(cell, q), [~np.isin(columns, cell.shared) for columns in cell.columns]
-        if min(np.linalg.svd(state.jacobian(k)[:, own[k]])[1][5] for k in range(len(cell))) > 0.1:
-            return q
-
-
-def columns_of(cell: RobotCell, q: Array, T_world_object: pin.SE3) -> Array:
-    """Twists of the object by each arm, in its frame, for all joints (6 N, nv): 0 where a joint does not move it."""
-    state, out = CellState(cell, q), np.zeros((len(cell), 6, cell.nv))
-    for k, joint in enumerate(cell.tool_joints):
-        J = pin.computeJointJacobian(cell.model, cell.model.createData(), q, joint)
-        out[k] = T_world_object.actInv(state.T_world_tool[k] * cell.T_joint_tool[k].inverse()).action @ J
-    return out.reshape(-1, cell.nv)
 
 
 def bent_least(J: Array, off: Array, stiffness: Array) -> Array:

@@ -8,7 +8,7 @@ import numpy as np
 import pinocchio as pin
 import pytest
 from cells import grasp_at, on_another_joint
-from torsos import robot_of
+from torsos import columns_of, regular, robot_of
 
 from coopqp import RobotCell
 from coopqp.control.monitoring.stress import servo_wrenches, whole_compliance
@@ -37,27 +37,9 @@ def cell(request: pytest.FixtureRequest, tmp_path: Path) -> RobotCell:
     return cell_of(torso, tmp_path, beside=beside)
 
 
-def regular(cell: RobotCell, rng: np.random.Generator) -> Array:
-    """A configuration in which no arm's own joints are near a singularity."""
-    while True:
-        q = cell.configuration(rng.uniform(-1.2, 1.2, cell.nv))
-        state, own = CellState(cell, q), [~np.isin(columns, cell.shared) for columns in cell.columns]
-        if min(np.linalg.svd(state.jacobian(k)[:, own[k]])[1][5] for k in range(len(cell))) > 0.1:
-            return q
-
-
-def dense(cell: RobotCell, q: Array, R: pin.SE3) -> Array:
-    """Twists of the object by each arm, in R, for all joints (6 N, nv): 0 where a joint does not move the tool."""
-    state, out = CellState(cell, q), np.zeros((len(cell), 6, cell.nv))
-    for k, joint in enumerate(cell.tool_joints):
-        J = pin.computeJointJacobian(cell.model, cell.model.createData(), q, joint)
-        out[k] = R.actInv(state.T_world_tool[k] * cell.T_joint_tool[k].inverse()).action @ J
-    return out.reshape(-1, cell.nv)
-
-
 def settled(cell: RobotCell, q: Array, R: pin.SE3, e: Array, stiffness: Array) -> tuple[Array, Array]:
     """Deflections (nv,) of least energy with which arms that are off by e (N, 6) meet, and their wrenches (N, 6)."""
-    n, nv, A = len(cell), cell.nv, dense(cell, q, R)
+    n, nv, A = len(cell), cell.nv, columns_of(cell, q, R)
     root = np.sqrt(stiffness.mean())
     E = np.tile(np.eye(6), (n, 1))
     # y = Kp^½ δq / root, o and the multipliers: A δq + e = E o.

@@ -259,7 +259,7 @@ def test_a_singular_arm_is_answered_within_its_limits(
 
 #: What the core counts with: whole numbers, which only its own code writes.
 COUNTS = {
-    "arm_start", "arm_size", "arm_group", "q_index", "continuous", "prismatic", "bounds", "history", "ahead", "lost",
+    "arm_group", "q_index", "continuous", "bounds", "history", "ahead", "lost",
     "options/newton_steps", "options/stall_samples", "options/own_solver",
     "loop/fault", "loop/fault_arm", "watch/watch_arm", "watch/past_count", "watch/past_head", "watch/behind",
     "knots/limit",
@@ -406,7 +406,7 @@ def test_sizes_that_do_not_fit_are_refused(paper: Scenario) -> None:
 def test_fields_are_zero_at_first_and_do_not_overlap(paper: Scenario) -> None:
     fields = native.Core(*built(loop_of(paper))).fields()
     state = fields.pop("state")
-    given = ("arm_start", "arm_size", "arm_group", "q_index", "continuous")
+    given = ("arm_group", "q_index", "continuous")
     assert not any(array.any() for name, array in fields.items() if name not in given)
     assert [*fields] == [name for block in layout.BLOCKS.values() for name, _ in block]
     for i, array in enumerate(fields.values()):
@@ -421,7 +421,7 @@ def test_the_largest_least_distance_program_has_room(make: Callable[[], Scenario
     """All joints outside, all further rows soft, the chain may part: rows, bounds, multipliers, and 2 n (n + 3)."""
     fields = native.Core(*built(loop_of(make()))).fields()
     n, m = fields["x"].size, 2 * fields["command"].size + fields["further_owner"].size
-    parted = 6 * fields["arm_start"].size  # unknowns where the chain may part
+    parted = 6 * fields["arm_group"].size  # unknowns where the chain may part
     assert fields["columns"].size == (m - fields["command"].size) * (fields["unit"].size + parted)
     assert fields["scratch"].size >= m * n + 2 * m + 2 * n + (m + n) + 2 * n * (n + 3)
 

@@ -8,6 +8,7 @@ import numpy as np
 import pinocchio as pin
 
 from coopqp import Grasp, Robot, RobotCell
+from coopqp.model import CellState
 from coopqp.model.batch import ArmKinematics
 from coopqp.model.branches import find_branches
 from coopqp.planning.on_shared import OnShared, group_joints
@@ -77,3 +78,21 @@ def held(cell: RobotCell, grasp: Grasp, T_world_object: pin.SE3, s: Array) -> Ar
 def kinematics_of(cell: RobotCell) -> list[ArmKinematics]:
     """The kinematics of each arm."""
     return [ArmKinematics(arm) for arm in cell.arms]
+
+
+def regular(cell: RobotCell, rng: np.random.Generator) -> Array:
+    """A configuration in which no arm's own joints are near a singularity."""
+    while True:
+        q = cell.configuration(rng.uniform(-1.2, 1.2, cell.nv))
+        state, own = CellState(cell, q), [~np.isin(columns, cell.shared) for columns in cell.columns]
+        if min(np.linalg.svd(state.jacobian(k)[:, own[k]])[1][5] for k in range(len(cell))) > 0.1:
+            return q
+
+
+def columns_of(cell: RobotCell, q: Array, R: pin.SE3) -> Array:
+    """Twists of the object by each arm, in R, for all joints (6 N, nv): 0 where a joint does not move the tool."""
+    state, out = CellState(cell, q), np.zeros((len(cell), 6, cell.nv))
+    for k, joint in enumerate(cell.tool_joints):
+        J = pin.computeJointJacobian(cell.model, cell.model.createData(), q, joint)
+        out[k] = R.actInv(state.T_world_tool[k] * cell.T_joint_tool[k].inverse()).action @ J
+    return out.reshape(-1, cell.nv)

@@ -25,8 +25,8 @@ from coopqp.control.operator.way import Way
 from coopqp.control.options import QPOptions
 from coopqp.control.step.constraint_set import Constraints
 from coopqp.control.step.contact import Contact, filter_time, handed
-from coopqp.control.step.decoding import STATUSES, RecordReader
-from coopqp.control.step.other_solver import StepSolver, unsolved
+from coopqp.control.step.decoding import STATUSES, RecordReader, unsolved
+from coopqp.control.step.other_solver import StepSolver
 from coopqp.control.step.velocity_bounds import VelocityBox
 from coopqp.errors import InvalidInputError
 from coopqp.model.cell import RobotCell

@@ -11,7 +11,6 @@ from coopqp.control.interface import NO_SOLVE, NOTHING, GivenUp, SolverReport, S
 from coopqp.control.monitoring.options import SupervisionOptions
 from coopqp.control.operator.way import Way
 from coopqp.control.step.constraint_set import Constraints
-from coopqp.control.step.other_solver import unsolved
 from coopqp.model.cell import RobotCell
 from coopqp.model.chain import moving_columns
 from coopqp.model.grasp import Grasp
@@ -159,6 +158,15 @@ class RecordReader:
 
 
 _BOTH = (_REASONS["CHAIN_APART"], _REASONS["CHAIN_PARTED"])
+
+
+def unsolved(report: SolverReport | None) -> str:
+    """Why the arms brake, with what a solver of the user's says."""
+    if report is None or report.name == "ldp":
+        return "the QP has no usable answer; braking"
+    return f"the QP has no usable answer ({': '.join(filter(None, (report.status, report.message)))}); braking"
+
+
 _PARTED = "arms {arm} and {other} are commanded {mm:.2g} mm apart"
 #: The sentence of each reason, by the joint or arm i and two numbers a and b. Those of :func:`reason` have their own.
 _SENTENCES = {

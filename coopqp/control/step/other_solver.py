@@ -1,7 +1,7 @@
 """The QP of a step by a solver of the user's choice, where it is not the core's own.
 
 The core fills in the rows ``base + B x`` of the condensed form (``program.cpp``); here they become a QP in the solver's
-form, and the answer what the core goes on with. See "The program" in docs/derivations.md.
+form, and the answer what the core goes on with. See "Substitution" in docs/derivations.md.
 """
 
 from __future__ import annotations
@@ -184,13 +184,6 @@ class StepSolver:
             solution.solve_time_s,
             solution.message,
         )
-
-
-def unsolved(report: SolverReport | None) -> str:
-    """Why the arms brake, with what a solver of the user's says."""
-    if report is None or report.name == "ldp":
-        return "the QP has no usable answer; braking"
-    return f"the QP has no usable answer ({': '.join(filter(None, (report.status, report.message)))}); braking"
 
 
 def _row_norms(rows: Array) -> Array:
