@@ -107,7 +107,7 @@ class QPOptions:
     def __new__(cls, **given: Any) -> QPOptions:
         """Refuse options that are no more, by name."""
         for name in given.keys() & cls.removed.keys():
-            raise InvalidInputError(f"{name} is an option no more", "QPOptions", cls.removed[name])
+            raise InvalidInputError(f"{name} is no longer an option", "QPOptions", cls.removed[name])
         return super().__new__(cls)
 
     def __post_init__(self) -> None:

@@ -748,7 +748,7 @@ def test_bad_options(options: dict[str, Any], error: type[Exception]) -> None:
 def test_options_of_version_0_2_are_refused_with_what_to_do(name: str) -> None:
     task = paper_lift()
     for give in (lambda given: QPOptions(**given), lambda given: given):
-        with pytest.raises(InvalidInputError, match=rf"{name} is an option no more\. Leave it out: "):
+        with pytest.raises(InvalidInputError, match=rf"{name} is no longer an option\. Leave it out: "):
             QPController(task.cell, task.grasp, task.path, dt=task.dt, options=give({name: "auto"}))
 
 

@@ -574,6 +574,12 @@ ROBOT, BASE, QP = 'robot = "rx90l"', "xyz_m = [3.60, 0.50, 0.0]", 'kind = "qp" #
         ("[-13.8, 67.4", "[67.4", "start.positions_deg.slave_2 has 5 numbers for 6 joints"),
         (QP, 'kind = "pq" #', "controller: there is no 'pq'; known: qp, pseudo_inverse, independent"),
         (QP, f"grasp_gian = 3\n{QP}", "controller: unknown key 'grasp_gian'; did you mean 'grasp_gain'?"),
+        (
+            QP,
+            f'kernel = "plain"\n{QP}',
+            "controller: kernel is no longer a key; leave it out: the core makes every step",
+        ),
+        (QP, f"iterations = 2\n{QP}", "controller: iterations is no longer a key; leave it out: long steps are"),
         (QP, f"grasp_gain = -3\n{QP}", "grasp_gain: -3 is outside"),
         (QP, f'solver = "proxpq"\n{QP}', "no QP solver named 'proxpq'. Did you mean 'proxqp'?"),
         (QP, f"solver_settings = {{ eps = 3 }}\n{QP}", "no setting named 'eps' in "),

@@ -33,7 +33,8 @@ class Table(BaseModel):
             unknown = [str(key) for key in data if key not in cls.model_fields]
             gone = next((key for key in unknown if key in cls.removed), None)
             if gone is not None:
-                raise problem(f"{gone} is a key no more; {cls.removed[gone][:1].lower()}{cls.removed[gone][1:]}")
+                remedy = cls.removed[gone].removesuffix(".")
+                raise problem(f"{gone} is no longer a key; {remedy[:1].lower()}{remedy[1:]}")
             if unknown:
                 near = nearest(unknown[0], cls.model_fields)
                 hint = f"did you mean '{near[0]}'? " if near else ""
