@@ -15,7 +15,7 @@ SANITIZED := build/sanitized
 .PHONY: demo check quick test test-nightly lint core sanitize mutation docs bench tables pictures browser clean \
   environments lowest newest no-compiler release wheel extras import
 
-$(VENV)/.installed: pyproject.toml CMakeLists.txt $(wildcard coopqp/native/*.cpp coopqp/native/*.h coopqp/native/*.py)
+$(VENV)/.installed: pyproject.toml CMakeLists.txt $(wildcard coopqp/core/*.cpp coopqp/core/*.h coopqp/core/*/*.cpp coopqp/core/*/*.h coopqp/core/*.py)
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 10) and "coopqp needs Python >= 3.10: make PYTHON=python3.x ...")'
 	$(PYTHON) -m venv $(VENV)
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[dev]'
@@ -69,12 +69,12 @@ sanitize: $(VENV)/.installed
 	  -DCMAKE_CXX_FLAGS_RELWITHDEBINFO="-O1 -g1" -DPython_EXECUTABLE=$(CURDIR)/$(BIN)/python
 	$(BIN)/cmake --build $(SANITIZED) --parallel 2
 	rm -rf $(SANITIZED)/tree && mkdir $(SANITIZED)/tree && cp -r coopqp $(SANITIZED)/tree
-	rm -f $(SANITIZED)/tree/coopqp/native/_core*.so
+	rm -f $(SANITIZED)/tree/coopqp/core/_core*.so
 	$(BIN)/cmake --install $(SANITIZED) --prefix $(SANITIZED)/tree
-	grep -q __asan_init $(SANITIZED)/tree/coopqp/native/_core*.so
+	grep -q __asan_init $(SANITIZED)/tree/coopqp/core/_core*.so
 	export LD_PRELOAD="$$(cc -print-file-name=libasan.so) $$(cc -print-file-name=libstdc++.so.6)" PYTHONMALLOC=malloc; \
 	(cd $(SANITIZED) && $(CURDIR)/$(BIN)/python -c \
-	  'from coopqp.native import _core as n; assert "$(SANITIZED)/tree" in n.__file__, n.__file__') && \
+	  'from coopqp.core import _core as n; assert "$(SANITIZED)/tree" in n.__file__, n.__file__') && \
 	$(PYTEST) -m "core $(SOME)" --capture sys -p no:cacheprovider
 
 # Would a test fail if the code said something else? MUTANTS in each package and in the C code: hours; 5 for a look.

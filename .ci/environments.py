@@ -134,7 +134,7 @@ def released(*versions: str) -> tuple[Path, tuple[str, ...]]:
 #: The tests of make check.
 _SOME = ("-m", "not slow", "--hypothesis-profile", "check")
 #: Folders with the tests of steps.
-_OF_STEPS = ("native", "model", "control", "constraints", "cli")
+_OF_STEPS = ("core", "model", "control", "constraints", "cli")
 
 
 #: Pages, pictures and benchmarks are made with the versions of the day: with others they would be to no end.
@@ -153,7 +153,7 @@ def lowest(tests: list[str]) -> None:
 
 _STABLE = """
 import sys
-from coopqp.native import _core
+from coopqp.core import _core
 assert (".abi3." in _core.__file__) == (sys.version_info >= (3, 12)), _core.__file__
 """
 
@@ -173,7 +173,7 @@ def no_compiler(_: list[str]) -> None:
     made = Environment("no-compiler", extras=("dev",), variables=without)
     made.make()
     made.run("python", str(ROOT / "tests" / "installed.py"), "all")
-    made.pytest(*_SOME, folders=("native", "golden", "cli"))
+    made.pytest(*_SOME, folders=("core", "golden", "cli"))
 
 
 def release(_: list[str]) -> None:

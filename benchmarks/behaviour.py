@@ -40,8 +40,8 @@ from common import Record
 from coopqp import ControlStep, QPController, QPOptions, Status
 from coopqp.baselines import IndependentQPController, IndependentQPOptions, PseudoInverseController
 from coopqp.control import Controller
+from coopqp.core.constants import RECOVERY_SHARE
 from coopqp.errors import StartWarning
-from coopqp.native.constants import RECOVERY_SHARE
 from coopqp.simulation import limit_excess, relative_positioning_error, tool_placements
 from coopqp.solvers import available_solvers
 from coopqp.spatial import Array

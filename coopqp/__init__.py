@@ -2,7 +2,7 @@
 
 Each package is one part of the flow. It imports from itself and from those above it only:
 
-* ``errors``, ``native``, ``checks``, ``spatial``, ``output``, ``lazy``, ``shown``: what all others use;
+* ``errors``, ``core``, ``checks``, ``spatial``, ``output``, ``lazy``, ``shown``: what all others use;
 * ``model``: the arms, the cell, the grasp, the closed chain;
 * ``paths``: where the object should be, and when;
 * ``solvers``: QP solvers behind one interface;

@@ -7,7 +7,6 @@ from . import (
     files as files,
     forces as forces,
     model as model,
-    native as native,
     output as output,
     paths as paths,
     planning as planning,

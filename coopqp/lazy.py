@@ -94,7 +94,7 @@ def _places() -> dict[str, str]:
     import ast
 
     root, places = Path(__file__).parent, dict[str, str]()
-    modules = [root / name for name in ("errors.py", "native/__init__.py", "output.py", "spatial.py")]
+    modules = [root / name for name in ("errors.py", "output.py", "spatial.py")]
     stubs = [root / "scenarios" / "__init__.py", *sorted(root.glob("*/__init__.pyi")), root / "__init__.pyi"]
     for file in (*modules, *stubs):  # the top last: it counts
         package = ".".join(("coopqp", *file.relative_to(root).with_suffix("").parts)).removesuffix(".__init__")

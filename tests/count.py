@@ -5,7 +5,7 @@ The rules:
 * A line of code has something else on it than comments and docstrings. Python and native code count alike; stubs count.
 * The glue only carries data between Python and the compiled core: the files of ``GLUE``, without the list of constants.
   The numerical part is the rest of the native code.
-* A constant of the core (``coopqp/native/constants.py``) stands twice if a Python module has a literal of its
+* A constant of the core (``coopqp/core/constants.py``) stands twice if a Python module has a literal of its
   value at the top of the module or of a class, under the constant's name with or without underscores before it, or
   under a name of ``ALIASES``.
 * The names at the top are those of ``coopqp.__all__``.
@@ -36,7 +36,7 @@ ROOT = Path(__file__).resolve().parents[1]
 #: Endings of native code.
 NATIVE = (".c", ".h", ".cpp", ".hpp")
 #: Where the constants of the core are listed.
-CONSTANTS = "coopqp/native/constants.py"
+CONSTANTS = "coopqp/core/constants.py"
 #: Files that only carry data to and from the compiled core.
 GLUE = (
     "coopqp/control/step/decoding.py",
@@ -44,15 +44,15 @@ GLUE = (
     "coopqp/control/core/loop.py",
     "coopqp/control/core/force_memory.py",
     "coopqp/control/core/memory.py",
-    "coopqp/native/__init__.py",
-    "coopqp/native/arrays.h",
-    "coopqp/native/binding.cpp",
-    "coopqp/native/distances_binding.cpp",
-    "coopqp/native/guards.h",
-    "coopqp/native/header.py",
-    "coopqp/native/kinematics_binding.cpp",
-    "coopqp/native/layout.py",
-    "coopqp/native/step_binding.cpp",
+    "coopqp/core/__init__.py",
+    "coopqp/core/binding/arrays.h",
+    "coopqp/core/binding/module.cpp",
+    "coopqp/core/binding/distances.cpp",
+    "coopqp/core/binding/guards.h",
+    "coopqp/core/header.py",
+    "coopqp/core/binding/kinematics.cpp",
+    "coopqp/core/layout.py",
+    "coopqp/core/binding/step.cpp",
 )
 #: Other names of the core's constants in Python.
 ALIASES = {

@@ -22,12 +22,12 @@ from coopqp.collision.scene import CollisionScene
 from coopqp.constraints.cause import Cause
 from coopqp.constraints.rate import Knot
 from coopqp.constraints.velocity import MOST_ROWS, ConstraintTrouble, LabelledRows, Quiet, Rank, RowsInMemory
+from coopqp.core import _core
+from coopqp.core.constants import BEND_SAMPLE, BENT_WAY, SMALL_CLEARANCE, STANDING, WATCHED, WATCHED_BLIND
 from coopqp.errors import TooCloseError
 from coopqp.model.limits import BindingLimit, LimitKind
 from coopqp.model.shapes import NearPair, by_depth, too_close
 from coopqp.model.state import CellState
-from coopqp.native import _core
-from coopqp.native.constants import BEND_SAMPLE, BENT_WAY, SMALL_CLEARANCE, STANDING, WATCHED, WATCHED_BLIND
 from coopqp.spatial import Array, Placement, as_placement
 
 #: Clearance that the bend between two grid points may take, where they are certified together [m].

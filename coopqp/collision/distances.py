@@ -13,9 +13,9 @@ import pinocchio as pin
 
 from coopqp.collision.built_scene import BuiltScene
 from coopqp.collision.coal_geometry import core_shape
+from coopqp.core import _core
+from coopqp.core.constants import DEEPEST, FARTHEST_POINT, LEAST_CLEARANCE
 from coopqp.model.chain import moving_columns
-from coopqp.native import _core
-from coopqp.native.constants import DEEPEST, FARTHEST_POINT, LEAST_CLEARANCE
 from coopqp.spatial import Array
 
 #: coal's own tolerance leaves gradients wrong by 0.2; with this one by 2e-4.

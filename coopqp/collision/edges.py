@@ -10,9 +10,9 @@ import numpy as np
 from coopqp.collision.built_scene import BuiltScene
 from coopqp.collision.coal_geometry import core_shape
 from coopqp.collision.gaps import ObjectPair, object_pairs
+from coopqp.core import _core
 from coopqp.model.batch import ArmKinematics
 from coopqp.model.grasp import Grasp
-from coopqp.native import _core
 from coopqp.planning.route.edges import EdgeLimits, Samples, Stop, Walked, columns_of
 from coopqp.planning.route.sampling import LEAST_SAMPLES
 from coopqp.planning.route.tree import STEP

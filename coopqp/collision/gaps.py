@@ -10,8 +10,8 @@ import pinocchio as pin
 
 from coopqp.collision.built_scene import BuiltScene
 from coopqp.collision.distances import new_request
+from coopqp.core.constants import DEEPEST, FARTHEST_POINT, TURN_LENGTH
 from coopqp.model.grasp import Grasp
-from coopqp.native.constants import DEEPEST, FARTHEST_POINT, TURN_LENGTH
 from coopqp.spatial import Array, cross
 
 #: Pushes of one pose, and the longest of them [m], where 1 rad counts as 0.3 m.

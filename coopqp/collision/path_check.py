@@ -16,8 +16,8 @@ import numpy.typing as npt
 
 from coopqp.collision.built_scene import BuiltScene
 from coopqp.collision.distances import Distances
+from coopqp.core.constants import SMALL_CLEARANCE
 from coopqp.model.shapes import NearPair
-from coopqp.native.constants import SMALL_CLEARANCE
 from coopqp.planning.branch_checks import PathVerdict
 from coopqp.planning.clearance_check import ClearanceCheck
 from coopqp.planning.joint_trajectories import CellTrajectory

@@ -3,7 +3,7 @@
 A step observes (is the input plausible, are the arms in step), proposes (the rate that the path ahead allows, the
 wanted motion, and the strictly ranked answer: the nominal command if it is admissible; else the fastest rate on the
 path; else the QP; else the QP whose chain may part; else a synchronised brake) and commits. The core does it
-(coopqp/native). See docs/derivations.md.
+(coopqp/core). See docs/derivations.md.
 """
 
 from __future__ import annotations
@@ -527,7 +527,7 @@ class QPController(OperatorCalls):
         """The core's function that steps with wrenches, for :class:`coopqp.ForceController`; None if Python has to.
 
         Args:
-            memory: numbers of :data:`coopqp.native.layout.Minding`.
+            memory: numbers of :data:`coopqp.core.layout.Minding`.
             tell: puts words into a step that forces have something to say about.
 
         Returns:

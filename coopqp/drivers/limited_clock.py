@@ -8,8 +8,8 @@ from __future__ import annotations
 
 from typing import final
 
+from coopqp.core import _core
 from coopqp.drivers.command_spline import CommandSpline
-from coopqp.native import _core
 from coopqp.spatial import Array
 
 

@@ -8,6 +8,7 @@ from typing import final
 
 import numpy as np
 
+from coopqp.core.constants import LONGEST_LAG
 from coopqp.drivers.command_spline import CommandSpline
 from coopqp.drivers.driver import RobotState
 from coopqp.drivers.follow_slowest import FollowSlowest
@@ -16,7 +17,6 @@ from coopqp.drivers.options import LoopOptions
 from coopqp.drivers.play_out import PlayOut
 from coopqp.drivers.robots import Robot, turned
 from coopqp.model.cell import RobotCell
-from coopqp.native.constants import LONGEST_LAG
 from coopqp.spatial import Array
 
 #: Lags are learnt where a robot moves at this share of its speed limits at least.

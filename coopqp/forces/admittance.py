@@ -35,6 +35,8 @@ import pinocchio as pin
 
 from coopqp.control.core.force_memory import BY_RELEASE, gives_way, minding_scalars, minding_size, minding_views
 from coopqp.control.monitoring.stress import servo_wrenches
+from coopqp.core import _core
+from coopqp.core.constants import LOOK_EVERY
 from coopqp.errors import InvalidInputError
 from coopqp.forces.force_options import ForceOptions
 from coopqp.forces.holding import Holding, Holds, Moved, SharesOf
@@ -44,8 +46,6 @@ from coopqp.forces.sensor_check import SensorCheck
 from coopqp.model.cell import RobotCell
 from coopqp.model.chain import Chain
 from coopqp.model.grasp import Grasp
-from coopqp.native import _core
-from coopqp.native.constants import LOOK_EVERY
 from coopqp.spatial import Array, for_twists
 
 #: Smaller shares of a stiffness count as 0.
@@ -95,7 +95,7 @@ class Relaxation:
         shares_of: s, share of each arm in the object's pose (N, 6) while some of them hold it (N,).
 
     Attributes:
-        memory: numbers of :data:`coopqp.native.layout.Minding`, and the vectors below.
+        memory: numbers of :data:`coopqp.core.layout.Minding`, and the vectors below.
         scalars: the first of them by name.
         internal: internal wrenches of the arms on the object beside the squeeze that is asked for, filtered (N, 6)
             [N, N·m], in the object frame; the next step changes it in place.

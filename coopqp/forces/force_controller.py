@@ -34,6 +34,7 @@ from coopqp.control.operator.calls import OperatorCalls
 from coopqp.control.operator.changes import Change
 from coopqp.control.operator.operator import Operator
 from coopqp.control.qp import QPController
+from coopqp.core.constants import SAME_CLOCK, STILL_OBJECT
 from coopqp.errors import InvalidInputError
 from coopqp.forces.admittance import Relaxation
 from coopqp.forces.force_options import ForceOptions
@@ -42,7 +43,6 @@ from coopqp.forces.palms_on_path import check_squeeze
 from coopqp.forces.sensor_check import SensorCheck
 from coopqp.forces.sensor_findings import SensorJudgement
 from coopqp.forces.wrist_sensor import SensorMaps
-from coopqp.native.constants import SAME_CLOCK, STILL_OBJECT
 from coopqp.paths.grasp_motion import HAND_OVER_S, GraspMotion
 from coopqp.paths.guarded import GuardedPath
 from coopqp.paths.moving_grasps import refuse_moving_holds

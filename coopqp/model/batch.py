@@ -1,6 +1,6 @@
 """Kinematics of one arm at thousands of tool poses at once: inverse kinematics, singular values, limit margins.
 
-The core computes them (``arm.h``, ``kinematics_binding.cpp``).
+The core computes them (``arm.h``, ``binding/kinematics.cpp``).
 """
 
 from __future__ import annotations
@@ -13,11 +13,11 @@ import numpy as np
 import numpy.typing as npt
 
 from coopqp.checks import ArrayLike, as_floats
+from coopqp.core import _core
+from coopqp.core.constants import MOST_JOINTS
 from coopqp.errors import InvalidInputError, ModelError
 from coopqp.model.cell import Arm
 from coopqp.model.links import check_count, joint_links
-from coopqp.native import _core
-from coopqp.native.constants import MOST_JOINTS
 from coopqp.spatial import Array, Placement, as_placement, as_placements, cross
 
 #: A solution reaches its pose within this [m, rad].

@@ -18,9 +18,9 @@ import numpy.typing as npt
 import pinocchio as pin
 
 from coopqp.checks import read_only
+from coopqp.core.constants import LARGE_INVERSE, SINGULAR_FLOOR
 from coopqp.model.cell import RobotCell, of_cell
 from coopqp.model.grasp import Grasp
-from coopqp.native.constants import LARGE_INVERSE, SINGULAR_FLOOR
 from coopqp.spatial import Array, twist_at
 
 

@@ -13,13 +13,13 @@ import numpy as np
 import pinocchio as pin
 
 from coopqp.checks import ArrayLike, as_scalar
+from coopqp.core.constants import LONGEST_STEP
 from coopqp.errors import UnreachableError
 from coopqp.model.batch import ArmKinematics
 from coopqp.model.branches import AT_LIMIT, all_turns, amount, find_branches
 from coopqp.model.cell import Arm, RobotCell
 from coopqp.model.chain import Chain
 from coopqp.model.grasp import Grasp
-from coopqp.native.constants import LONGEST_STEP
 from coopqp.spatial import Array, Placement, as_placement, for_twists
 
 _LAST = threading.local()

@@ -10,8 +10,8 @@ import numpy as np
 import pinocchio as pin
 
 from coopqp.checks import read_only
+from coopqp.core.constants import MOST_JOINTS
 from coopqp.errors import ModelError
-from coopqp.native.constants import MOST_JOINTS
 from coopqp.spatial import Array, skew
 
 

@@ -19,8 +19,8 @@ from typing import TypeVar, final
 import numpy as np
 import pinocchio as pin
 
+from coopqp.core.constants import NO_CORNER, RAMP_AT_MIDDLE, SHORTEST_LINE, TURN_LENGTH
 from coopqp.errors import InvalidInputError
-from coopqp.native.constants import NO_CORNER, RAMP_AT_MIDDLE, SHORTEST_LINE, TURN_LENGTH
 from coopqp.spatial import Array, as_placement, cross, rotations
 
 _Number = TypeVar("_Number", float, Array)

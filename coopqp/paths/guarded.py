@@ -10,8 +10,7 @@ import numpy as np
 import pinocchio as pin
 
 from coopqp.checks import as_scalar, as_vector
-from coopqp.errors import InvalidInputError, said
-from coopqp.native.constants import (
+from coopqp.core.constants import (
     FASTEST_PATH,
     JUMP_WIDTH,
     KINK_SHARE,
@@ -22,6 +21,7 @@ from coopqp.native.constants import (
     STEEP_WIDTH,
     TURN_LENGTH,
 )
+from coopqp.errors import InvalidInputError, said
 from coopqp.paths.elbows import Elbows
 from coopqp.paths.grasp_motion import GraspMotion
 from coopqp.paths.path import HoldPath, LinePath, ObjectPath, SegmentedPath, WaypointPath

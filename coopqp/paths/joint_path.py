@@ -11,8 +11,8 @@ import numpy as np
 import pinocchio as pin
 
 from coopqp.checks import ArrayLike, as_floats, as_scalar
+from coopqp.core.constants import WAY_HEAD
 from coopqp.errors import InvalidInputError
-from coopqp.native.constants import WAY_HEAD
 from coopqp.paths.elbows import Elbows
 from coopqp.paths.time_law import TimeLaw
 from coopqp.spatial import Array

@@ -6,9 +6,9 @@ import math
 
 import pinocchio as pin
 
+from coopqp.core.constants import SEGMENT
 from coopqp.errors import InvalidInputError
 from coopqp.model.grasp import Grasp
-from coopqp.native.constants import SEGMENT
 from coopqp.paths.grasp_motion import LAWS, GraspPiece
 from coopqp.paths.path import ObjectPath
 

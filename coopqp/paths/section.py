@@ -9,8 +9,8 @@ import numpy as np
 import pinocchio as pin
 
 from coopqp.checks import as_scalar
+from coopqp.core.constants import SAME_CLOCK, SEGMENT
 from coopqp.errors import InvalidInputError
-from coopqp.native.constants import SAME_CLOCK, SEGMENT
 from coopqp.paths.elbows import Elbows
 from coopqp.paths.grasp_motion import of_section
 from coopqp.paths.path import HoldPath, LinePath, ObjectPath, WaypointPath

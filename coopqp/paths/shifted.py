@@ -9,8 +9,8 @@ import numpy as np
 import pinocchio as pin
 
 from coopqp.checks import as_scalar
+from coopqp.core.constants import SHIFT, TURN_LENGTH
 from coopqp.errors import InvalidInputError
-from coopqp.native.constants import SHIFT, TURN_LENGTH
 from coopqp.paths.path import ObjectPath
 from coopqp.paths.section import Section
 from coopqp.paths.time_law import TimeLaw

@@ -9,10 +9,10 @@ import numpy as np
 import pinocchio as pin
 
 from coopqp.constraints.samples import PathSamples
+from coopqp.core.constants import FAR_FROM_WAY
 from coopqp.errors import InvalidInputError
 from coopqp.model.batch import ArmKinematics
 from coopqp.model.branches import amount
-from coopqp.native.constants import FAR_FROM_WAY
 from coopqp.paths.joint_path import JointPiece
 from coopqp.paths.path import ObjectPath
 from coopqp.planning.branch_checks import BranchCheck, PathVerdict, check_branches, not_disproved, worst

@@ -12,11 +12,11 @@ from typing import Any, NoReturn
 import numpy as np
 
 from coopqp.checks import ArrayLike, as_count, as_scalar
+from coopqp.core.constants import TURN_LENGTH
 from coopqp.errors import InvalidInputError, UndecidedError, UnreachableError
 from coopqp.model.cell import RobotCell
 from coopqp.model.chain import moving_columns
 from coopqp.model.grasp import Grasp
-from coopqp.native.constants import TURN_LENGTH
 from coopqp.paths.geometry import PathGeometry, Straight, blended
 from coopqp.paths.path import LinePath, ObjectPath
 from coopqp.paths.timed import SpeedProfile, TimedPath

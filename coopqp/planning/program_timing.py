@@ -13,12 +13,12 @@ import numpy as np
 import pinocchio as pin
 
 from coopqp.checks import ArrayLike, as_count, as_scalar, require
+from coopqp.core.constants import FAR_FROM_WAY, SEGMENT
 from coopqp.errors import InvalidInputError, UnreachableError
 from coopqp.model.batch import ArmKinematics
 from coopqp.model.branches import AT_LIMIT
 from coopqp.model.cell import RobotCell
 from coopqp.model.grasp import Grasp
-from coopqp.native.constants import FAR_FROM_WAY, SEGMENT
 from coopqp.paths.geometry import PathGeometry, Straight
 from coopqp.paths.joint_path import JointPath, JointPiece
 from coopqp.paths.path import HoldPath, ObjectPath

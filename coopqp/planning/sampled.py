@@ -7,8 +7,8 @@ from typing import Any, final
 
 import numpy as np
 
+from coopqp.core.constants import TURN_LENGTH
 from coopqp.errors import InvalidInputError
-from coopqp.native.constants import TURN_LENGTH
 from coopqp.paths.geometry import PathGeometry, Piece
 from coopqp.paths.guarded import GuardedPath, twist_distance
 from coopqp.paths.path import ObjectPath

@@ -15,8 +15,8 @@ import numpy as np
 import pinocchio as pin
 
 from coopqp.constraints.samples import PathSamples
+from coopqp.core.constants import SEGMENT
 from coopqp.model.cell import RobotCell
-from coopqp.native.constants import SEGMENT
 from coopqp.paths.geometry import MotionBounds, Piece
 from coopqp.paths.grasp_motion import GraspPiece
 from coopqp.paths.path import ObjectPath

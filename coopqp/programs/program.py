@@ -12,11 +12,11 @@ import numpy as np
 import pinocchio as pin
 
 from coopqp.checks import ArrayLike, as_scalar, read_only, require
+from coopqp.core.constants import SEGMENT
 from coopqp.errors import InvalidInputError, UnknownNameError
 from coopqp.model.cell import RobotCell
 from coopqp.model.grasp import Grasp
 from coopqp.model.inverse_kinematics import inverse_kinematics
-from coopqp.native.constants import SEGMENT
 from coopqp.paths.grasp_motion import ATTACH_M, ATTACH_RAD, GraspMotion, GraspPiece, still_from
 from coopqp.paths.guarded import GuardedPath, is_known
 from coopqp.paths.joint_path import JointPiece

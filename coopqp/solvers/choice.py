@@ -10,7 +10,7 @@ from coopqp.errors import InvalidInputError, MissingExtraError, MissingSolverErr
 from coopqp.solvers.base import QpSolver
 
 #: Kept solvers: the name, which is also its module's here, and the module that it needs.
-_KEPT = {"proxqp": "proxsuite", "osqp": "osqp", "daqp": "daqp", "ldp": "coopqp.native"}
+_KEPT = {"proxqp": "proxsuite", "osqp": "osqp", "daqp": "daqp", "ldp": "coopqp.core"}
 _GENERIC = "qpsolvers:"
 
 

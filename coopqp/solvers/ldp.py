@@ -7,8 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from coopqp.checks import as_options
-from coopqp.native import _core
-from coopqp.native.constants import LARGEST_X
+from coopqp.core import _core
+from coopqp.core.constants import LARGEST_X
 from coopqp.solvers.base import Outcome, QpSolver, SolverSettings, Workspace
 from coopqp.solvers.polish import finish
 from coopqp.solvers.problem import INFINITE, Array, QpProblem, SolverStatus

@@ -16,7 +16,7 @@ from contestants import PACES, NotAvailable
 BUILD = """cmake_minimum_required(VERSION 3.26)
 project(copied LANGUAGES NONE)
 add_custom_target(core ALL COMMAND ${CMAKE_COMMAND} -E copy ${CMAKE_CURRENT_SOURCE_DIR}/core.txt built.txt)
-install(FILES ${CMAKE_CURRENT_BINARY_DIR}/built.txt DESTINATION coopqp/native)
+install(FILES ${CMAKE_CURRENT_BINARY_DIR}/built.txt DESTINATION coopqp/core)
 """
 
 
@@ -135,7 +135,7 @@ class TestCheckout:
     def test_the_commit_is_built_once_and_not_what_is_being_edited(self, repository: Path, tmp_path: Path) -> None:
         (repository / "core.txt").write_text("edited")
         folder = against.checkout("HEAD", tmp_path / "cache", repository)
-        built = folder / "coopqp" / "native" / "built.txt"
+        built = folder / "coopqp" / "core" / "built.txt"
         assert built.read_text() == "first"
         built.write_text("kept")
         assert against.checkout("HEAD", tmp_path / "cache", repository) == folder

@@ -40,12 +40,12 @@ from coopqp.collision import Body, Box, Capsule, Cylinder, Hull, Mesh, PairRules
 from coopqp.collision.distances import Distances, LowerBounds
 from coopqp.collision.evasion import Evasion
 from coopqp.constraints.velocity import MOST_ROWS, ConstraintTrouble
+from coopqp.core import _core
+from coopqp.core.constants import YIELDS
 from coopqp.errors import MissingExtraError, UnknownNameError
 from coopqp.files import CellFileError
 from coopqp.model import CellState
 from coopqp.model.chain import Chain
-from coopqp.native import _core
-from coopqp.native.constants import YIELDS
 from coopqp.planning import PathVerdict
 from coopqp.scenarios import (
     Scenario,

@@ -15,8 +15,8 @@ from coopqp.collision.distances import Distances, Gradient, LowerBounds
 from coopqp.collision.evasion import EvadingSlopes, Evasion
 from coopqp.collision.moving_bodies import MovingBodies
 from coopqp.constraints.velocity import LabelledRows
+from coopqp.core.constants import BRAKING_SHARE, EVADES_EARLY
 from coopqp.model import CellState, LimitKind
-from coopqp.native.constants import BRAKING_SHARE, EVADES_EARLY
 from coopqp.planning import ClearanceCheck, PathVerdict
 from coopqp.planning.joint_trajectories import ArmTrajectory, HeldTrajectory
 from coopqp.planning.segments import segments_of

@@ -18,7 +18,7 @@ from coopqp import (
     SupervisionOptions,
 )
 from coopqp.control.step.decoding import CAUSES, cause_of
-from coopqp.native import layout
+from coopqp.core import layout
 from coopqp.scenarios import at_limit, at_singularity, paper_lift
 
 LIMIT, SINGULAR, NEAR, APART, REINS, JUMP = (

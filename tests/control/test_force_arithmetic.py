@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 
 from coopqp.control.core.force_memory import minding_scalars, minding_size, minding_views, squeezes
-from coopqp.native import _core, layout
+from coopqp.core import _core, layout
 from coopqp.spatial import Array
 
 pytestmark = pytest.mark.core

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from coopqp import BindingLimit, JointLimits, LimitKind, RobotCell
 from coopqp.control.step.velocity_bounds import VelocityBox
-from coopqp.native.constants import RECOVERY_SHARE
+from coopqp.core.constants import RECOVERY_SHARE
 
 Array = NDArray[np.float64]
 STEPS = [0.001, 0.002, 0.01]  # [s]

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 from hypothesis import given, settings, strategies as st
 
+from coopqp.core import _core
 from coopqp.drivers.command_spline import CommandSpline
 from coopqp.drivers.limited_clock import LimitedClock
 from coopqp.drivers.play_out import PlayOut
-from coopqp.native import _core
 
 _JOINTS, _PERIOD, _ROUNDING = 4, 0.002, 1e-9
 

@@ -31,10 +31,10 @@ from coopqp import (
 )
 from coopqp.baselines import PseudoInverseController
 from coopqp.control.core.force_memory import minding_scalars, minding_size
+from coopqp.core import _core
 from coopqp.errors import StartWarning
 from coopqp.forces import Grip, LoadShare, StressModel, internal_wrenches
 from coopqp.model import CellState
-from coopqp.native import _core
 from coopqp.planning import Payload
 from coopqp.scenarios import Scenario, palm_box, paper_lift, torso_lift
 from coopqp.simulation import Disturbances, KinematicPlant, PhysicsPlant, misplaced

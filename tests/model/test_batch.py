@@ -11,6 +11,7 @@ import pytest
 from hypothesis import given, strategies as st
 
 from coopqp import Arm, InvalidInputError, RobotCell, scenarios
+from coopqp.core import _core
 from coopqp.errors import ModelError
 from coopqp.model.batch import (
     ArmKinematics,
@@ -19,7 +20,6 @@ from coopqp.model.batch import (
     pose_rows,
     singular_values,
 )
-from coopqp.native import _core
 from coopqp.scenarios import robot_path
 
 pytestmark = pytest.mark.core

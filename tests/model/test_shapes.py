@@ -10,8 +10,8 @@ import pinocchio as pin
 import pytest
 
 from coopqp import InvalidInputError
+from coopqp.core.constants import DEEPEST
 from coopqp.model.shapes import MOST_TRIANGLES, Body, Box, Capsule, Cylinder, Hull, Mesh, NearPair, Sphere
-from coopqp.native.constants import DEEPEST
 
 TETRAHEDRON = np.vstack([np.zeros(3), np.eye(3)])
 

@@ -37,8 +37,8 @@ _DECLARES = re.compile(
 )
 #: Files that are compiled by themselves; they include the others.
 SOURCES = (
-    "binding.cpp", "step_binding.cpp", "kinematics_binding.cpp", "distances_binding.cpp", "nearby.cpp", "evasion.cpp",
-    "edges.cpp", "limited_clock.cpp", "rounded.cpp", "unit.cpp", "values.cpp",
+    "binding/module.cpp", "binding/step.cpp", "binding/kinematics.cpp", "binding/distances.cpp", "nearby.cpp",
+    "evasion.cpp", "edges.cpp", "limited_clock.cpp", "rounded.cpp", "unit.cpp", "values.cpp",
 )  # fmt: skip
 
 

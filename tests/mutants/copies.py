@@ -139,7 +139,7 @@ class Copy:
         """A file has another text for a while; yields False if it does not compile."""
         file = self.folder / name
         source = file.read_text(encoding="utf-8")
-        built = next((self.folder / "coopqp" / "native").glob("_core*.so")) if name.endswith(".cpp") else None
+        built = next((self.folder / "coopqp" / "core").glob("_core*.so")) if name.endswith(".cpp") else None
         kept = built.read_bytes() if built else b""
         try:
             file.write_text(text, encoding="utf-8")

@@ -65,13 +65,13 @@ EQUIVALENT: dict[tuple[str, str, str], str] = {
                 "if far > motion.attach_m or turned >= motion.attach_rad:",
             ): "an angle of exactly the tolerance",
         },
-        "coopqp/native/edges.cpp": {
+        "coopqp/core/edges.cpp": {
             (
                 "if (open[i] == last) std::swap(open[0], open[i]);",
                 "if (open[i] == last) std::swap(open[1], open[i]);",
             ): "the order of asking; any pair that stops an edge may be named",
         },
-        "coopqp/native/step.cpp": {
+        "coopqp/core/step.cpp": {
             ("entries[4 * count + 1] = -1.0;", ";"): "the arm is read only where it is written afterwards",
             (
                 "if (!(kept->stride > 0.0) || --kept->left > 0.0 || "
@@ -80,20 +80,20 @@ EQUIVALENT: dict[tuple[str, str, str], str] = {
                 "!(kept->count >= 0.0 || kept->count < MOST_TRAVELS)) return;",
             ): "the operator takes them before there are so many",
         },
-        "coopqp/native/braking.cpp": {
+        "coopqp/core/braking.cpp": {
             (
                 "entry[1] = joint < 0 ? number : -1.0;",
                 "entry[1] = joint < 0 ? number : -1.0 * 2;",
             ): "of a joint's row no arm is read",
         },
-        "coopqp/native/program.cpp": {
+        "coopqp/core/program.cpp": {
             (
                 "const double square = columns.squaredNorm() + (slack >= 0 ? unit * unit : 0.0);",
                 "const double square = columns.squaredNorm() + (slack < 0 ? unit * unit : 0.0);",
             ): "a row that is scaled by another positive number is the same; rows without a slack have the unit 0",
             ("return 1;", "return 2;"): "asked for as yes or no",
         },
-        "coopqp/native/paths.cpp": {
+        "coopqp/core/paths.cpp": {
             (
                 "const Place share = on_law((at - shift[0]) / span, 1.0, 0.0, span);",
                 "const Place share = on_law((at - shift[0]) / span, 1.0, 2.0, span);",
@@ -103,13 +103,13 @@ EQUIVALENT: dict[tuple[str, str, str], str] = {
                 "const double *last = c->path_numbers - 3 + count_of(c, 1) + SEGMENT * (count_of(c, 2) - 1);",
             ): "only segments are compared with it, which are 29 numbers apart",
         },
-        "coopqp/native/residual.cpp": {
+        "coopqp/core/residual.cpp": {
             (
                 "const auto scratch = [&](int i) { return Twists(c->scratch + 6 * i * c->arms, 6, c->arms); };",
                 "const auto scratch = [&](int i) { return Twists(c->scratch + 6 * i * c->arms, 7, c->arms); };",
             ): "the number of rows is part of the type",
         },
-        "coopqp/native/watch.cpp": {
+        "coopqp/core/watch.cpp": {
             (
                 "const auto scratch = [&](int i) { return Twists(c->scratch + 6 * i * c->arms, 6, c->arms); };",
                 "const auto scratch = [&](int i) { return Twists(c->scratch + 7 * i * c->arms, 6, c->arms); };",
@@ -119,10 +119,10 @@ EQUIVALENT: dict[tuple[str, str, str], str] = {
                 "return finite || away.allFinite();",
             ): "steps and positions that are not finite are refused before",
         },
-        "coopqp/native/kinematics.cpp": {
+        "coopqp/core/kinematics.cpp": {
             ("if (!(d2 < 2.5e-3)) {", "if (!(d2 < 2.5e-3 * 2)) {"): "the series are as exact as rounding there, too",
         },
-        "coopqp/native/nearby.cpp": {
+        "coopqp/core/nearby.cpp": {
             (
                 "if (count++ == 2 * SHARPENED_EARLY) return true;",
                 "if (count++ == 3 * SHARPENED_EARLY) return true;",
@@ -132,7 +132,7 @@ EQUIVALENT: dict[tuple[str, str, str], str] = {
                 "for (size_t j = 0; j < coming.size(); j++) way[j] = WIDER / fabs(coming[j]);",
             ): "how early pairs are looked at: a choice",
         },
-        "coopqp/native/chain_ahead.cpp": {
+        "coopqp/core/chain_ahead.cpp": {
             ("k->corner = 1.0;", "k->corner = 1.0 * 2;"): "asked for as yes or no",
             (
                 "return {reinterpret_cast<Pose *>(c->sketch), {errors, 6, n}, "

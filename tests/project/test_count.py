@@ -12,7 +12,7 @@ from places import ROOT
 sys.path.insert(0, str(ROOT / "tests"))
 import count
 
-from coopqp.native import constants
+from coopqp.core import constants
 
 PYTHON = '''"""What it does.
 
@@ -57,7 +57,7 @@ def tree(tmp_path: Path) -> Path:
         "left/__init__": "",
         "right/other": "def late():\n    from coopqp.left.one import One\n",
         "high/top": "import coopqp.right.other\n",
-        "native/constants": "SHARE = 0.5\nSTILL_COMMAND = -1e-5\nOTHER = 3\n_OWN = 4\n",
+        "core/constants": "SHARE = 0.5\nSTILL_COMMAND = -1e-5\nOTHER = 3\n_OWN = 4\n",
     }.items():
         file = tmp_path / "coopqp" / f"{name}.py"
         file.parent.mkdir(parents=True, exist_ok=True)
@@ -82,7 +82,7 @@ def test_a_constant_stands_twice_where_its_name_has_its_value_again(tree: Path) 
 
 def test_imports_in_functions_and_for_types_point_up_or_aside_and_close_circles(tree: Path) -> None:
     graph = count.imports(tree)
-    del graph["coopqp.native.constants"]
+    del graph["coopqp.core.constants"]
     assert count.upward(tree, graph) == [
         ("coopqp.low.base", "coopqp.high.top"),
         ("coopqp.right.other", "coopqp.left.one"),

@@ -15,7 +15,7 @@ from pictures import MOST_PIXELS, PROGRAMS, difference, drawn_alike
 from places import ROOT
 
 import coopqp
-from coopqp.native.constants import RECOVERY_SHARE
+from coopqp.core.constants import RECOVERY_SHARE
 
 DOCS = ROOT / "docs"
 EXAMPLES = sorted((DOCS / "examples").glob("[0-9][0-9]_*.py"))
@@ -138,10 +138,10 @@ def test_every_file_of_the_core_stands_in_the_table_of_ideas() -> None:
     text = (DOCS / "derivations.md").read_text(encoding="utf-8")
     table = text.partition("(files)=")[2].partition("\n## Rows of constraints")[0]
     named = {name for row in table.splitlines() if row.startswith("|") for name in re.findall(r"`(.+?)`", row)}
-    native = ROOT / "coopqp" / "native"
+    core = ROOT / "coopqp" / "core"
     assert len(named) >= 25
-    if native.is_dir() and any(native.glob("*.cpp")):  # a wheel has no C++
-        assert [name for name in sorted(named) if not (native / name).is_file()] == []
+    if core.is_dir() and any(core.glob("*.cpp")):  # a wheel has no C++
+        assert [name for name in sorted(named) if not (core / name).is_file()] == []
 
 
 def test_defaults_in_the_text_are_those_of_the_code() -> None:

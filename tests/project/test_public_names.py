@@ -28,7 +28,7 @@ LAZY = (
     ),
 )  # fmt: skip
 #: Modules whose own functions and classes are public.
-MODULES = ("coopqp.errors", "coopqp.native", "coopqp.output", "coopqp.spatial")
+MODULES = ("coopqp.errors", "coopqp.output", "coopqp.spatial")
 PUBLIC = (*LAZY, *MODULES, "coopqp.scenarios")
 #: Scripts that measure the parts of a step, and judges that stand where a robot or a stranger does.
 INSIDE = (

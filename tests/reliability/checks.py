@@ -32,9 +32,9 @@ from coopqp import (
     inverse_kinematics,
 )
 from coopqp.control.step.velocity_bounds import VelocityBox
+from coopqp.core.constants import RECOVERY_SHARE
 from coopqp.errors import UnreachableError
 from coopqp.model import CellState
-from coopqp.native.constants import RECOVERY_SHARE
 from coopqp.scenarios import Scenario, at_limit
 from coopqp.simulation import Monitor, Verdict
 from coopqp.solvers import QpProblem, QpSolution, QpSolver, SolverStatus, make_solver

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from typing import Any
 
-from coopqp.native import layout
+from coopqp.core import layout
 from coopqp.spatial import Array
 
 HEARD, MISSED, SILENT = range(len(layout.HEARING))

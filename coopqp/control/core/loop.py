@@ -28,13 +28,13 @@ from coopqp.control.step.contact import Contact, filter_time, handed
 from coopqp.control.step.decoding import STATUSES, RecordReader, unsolved
 from coopqp.control.step.other_solver import StepSolver
 from coopqp.control.step.velocity_bounds import VelocityBox
+from coopqp.core import layout
+from coopqp.core.constants import MOST_MINDING, MOST_TIGHTENINGS, SAME_CLOCK, SEGMENT
 from coopqp.errors import InvalidInputError
 from coopqp.model.cell import RobotCell
 from coopqp.model.chain import Chain
 from coopqp.model.grasp import Grasp
 from coopqp.model.state import CellState
-from coopqp.native import layout
-from coopqp.native.constants import MOST_MINDING, MOST_TIGHTENINGS, SAME_CLOCK, SEGMENT
 from coopqp.paths.grasp_motion import GraspMotion
 from coopqp.paths.guarded import GuardedPath, is_known
 from coopqp.paths.path import ObjectPath

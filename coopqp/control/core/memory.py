@@ -7,19 +7,13 @@ from typing import Any, final
 
 import numpy as np
 
-import coopqp.native._core as native
 from coopqp.constraints.velocity import MOST_ROWS
 from coopqp.control.lookahead.options import PlanLimits, PreviewOptions
 from coopqp.control.monitoring.options import SupervisionOptions
 from coopqp.control.options import QPOptions
 from coopqp.control.step.velocity_bounds import VelocityBox
-from coopqp.errors import ModelError
-from coopqp.model.cell import RobotCell, of_cell
-from coopqp.model.chain import Chain, moving_columns
-from coopqp.model.grasp import Grasp
-from coopqp.model.links import check_count, joint_links
-from coopqp.native import layout
-from coopqp.native.constants import (
+from coopqp.core import _core as native, layout
+from coopqp.core.constants import (
     CALM,
     LAG,
     LARGEST_MOVE,
@@ -27,6 +21,11 @@ from coopqp.native.constants import (
     MOST_KNOTS,
     MOST_SHARING,
 )
+from coopqp.errors import ModelError
+from coopqp.model.cell import RobotCell, of_cell
+from coopqp.model.chain import Chain, moving_columns
+from coopqp.model.grasp import Grasp
+from coopqp.model.links import check_count, joint_links
 from coopqp.spatial import Array, skew
 
 #: Least distance between a grasp and the grasps' centre that counts [m].

@@ -8,8 +8,8 @@ from typing import Annotated
 import numpy as np
 
 from coopqp.checks import Doc, as_count, documented, keep_scalars
+from coopqp.core.constants import STEPS_TO_EDGE, STEPS_TO_FULL_SPEED
 from coopqp.model.cell import RobotCell
-from coopqp.native.constants import STEPS_TO_EDGE, STEPS_TO_FULL_SPEED
 from coopqp.spatial import Array
 
 #: Planned share of the largest change of the rate, under acceleration limits.

@@ -18,7 +18,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from coopqp.native.constants import STRUCTURE
+from coopqp.core.constants import STRUCTURE
 from coopqp.spatial import Array
 
 

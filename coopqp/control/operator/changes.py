@@ -12,8 +12,8 @@ import pinocchio as pin
 from coopqp.checks import as_scalar
 from coopqp.control.operator.hands import HAND_SILENCE
 from coopqp.control.operator.way import Way
+from coopqp.core.constants import SAME_CLOCK
 from coopqp.errors import InvalidInputError
-from coopqp.native.constants import SAME_CLOCK
 from coopqp.paths.guarded import GuardedPath
 from coopqp.paths.moving_grasps import grasp_at
 from coopqp.paths.path import ObjectPath

@@ -22,12 +22,12 @@ from coopqp.constraints.velocity import (
     VelocityConstraint,
     no_rows,
 )
+from coopqp.core.constants import STILL_SLOPE
 from coopqp.errors import InvalidInputError, said, shown
 from coopqp.model.cell import RobotCell
 from coopqp.model.limits import BindingLimit, LimitKind
 from coopqp.model.shapes import NearPair
 from coopqp.model.state import CellState
-from coopqp.native.constants import STILL_SLOPE
 from coopqp.spatial import Array
 
 #: Entries of rows this large are nonsense.

@@ -11,12 +11,12 @@ from coopqp.control.interface import NO_SOLVE, NOTHING, GivenUp, SolverReport, S
 from coopqp.control.monitoring.options import SupervisionOptions
 from coopqp.control.operator.way import Way
 from coopqp.control.step.constraint_set import Constraints
+from coopqp.core import layout
 from coopqp.model.cell import RobotCell
 from coopqp.model.chain import moving_columns
 from coopqp.model.grasp import Grasp
 from coopqp.model.limits import BindingLimit, LimitKind
 from coopqp.model.shapes import NearPair, too_close
-from coopqp.native import layout
 from coopqp.paths.guarded import jump
 from coopqp.spatial import Array
 

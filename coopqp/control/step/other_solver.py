@@ -14,9 +14,9 @@ from coopqp.constraints.velocity import Rows
 from coopqp.control.interface import SolverReport
 from coopqp.control.options import QPOptions, RankWeights
 from coopqp.control.step.velocity_bounds import VelocityBox
+from coopqp.core.constants import CALM, SINGULAR_FLOOR
 from coopqp.errors import said
 from coopqp.model.chain import Chain
-from coopqp.native.constants import CALM, SINGULAR_FLOOR
 from coopqp.solvers.base import QpSolver
 from coopqp.solvers.choice import make_solver
 from coopqp.solvers.problem import QpProblem, QpSolution, SolverStatus

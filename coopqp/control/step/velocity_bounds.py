@@ -11,15 +11,15 @@ import math
 
 import numpy as np
 
-from coopqp.model.cell import JointLimits, RobotCell
-from coopqp.model.limits import BindingLimit, LimitKind
-from coopqp.native.constants import (
+from coopqp.core.constants import (
     HELD_SHARE,
     HELD_SPEED,
     INSIDE,
     LARGEST_MOVE,
     RECOVERY_SHARE,
 )
+from coopqp.model.cell import JointLimits, RobotCell
+from coopqp.model.limits import BindingLimit, LimitKind
 from coopqp.spatial import Array
 
 

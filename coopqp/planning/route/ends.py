@@ -9,11 +9,11 @@ from dataclasses import dataclass
 import numpy as np
 import pinocchio as pin
 
+from coopqp.core.constants import SMALL_CLEARANCE
 from coopqp.model.batch import ArmKinematics
 from coopqp.model.branches import AT_LIMIT, Branches, all_turns, amount, find_branches
 from coopqp.model.cell import RobotCell
 from coopqp.model.grasp import Grasp
-from coopqp.native.constants import SMALL_CLEARANCE
 from coopqp.planning.route.edges import Edges, SearchedBodies, columns_of
 from coopqp.spatial import Array
 

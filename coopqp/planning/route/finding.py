@@ -12,12 +12,12 @@ import numpy as np
 import pinocchio as pin
 
 from coopqp.checks import NOT_NUMBERS, ArrayLike, as_count, as_floats, as_scalar
+from coopqp.core.constants import SMALL_CLEARANCE
 from coopqp.errors import InvalidInputError
 from coopqp.model.batch import ArmKinematics
 from coopqp.model.cell import RobotCell
 from coopqp.model.chain import Chain
 from coopqp.model.grasp import Grasp
-from coopqp.native.constants import SMALL_CLEARANCE
 from coopqp.paths.elbows import Elbows
 from coopqp.paths.timed import SpeedProfile, TimedPath
 from coopqp.planning.branch_checks import PathVerdict

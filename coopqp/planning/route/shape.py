@@ -10,8 +10,8 @@ from typing import NamedTuple, final
 import numpy as np
 import pinocchio as pin
 
+from coopqp.core.constants import TURN_LENGTH
 from coopqp.model.joint_limits import JointLimits
-from coopqp.native.constants import TURN_LENGTH
 from coopqp.paths.geometry import PathGeometry
 from coopqp.planning.route.duration import estimated_duration
 from coopqp.planning.route.edges import Edges, Samples

@@ -4,7 +4,7 @@
 #include <cmath>
 #include <cstdlib>
 
-#include "arrays.h"
+#include "binding/arrays.h"
 
 namespace {
 

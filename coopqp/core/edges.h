@@ -14,7 +14,7 @@
 #ifdef __GNUC__
 #pragma GCC diagnostic pop
 #endif
-#include "arrays.h"
+#include "binding/arrays.h"
 #include "nearby.h"
 
 /* What stops an edge; 0 where nothing does. */

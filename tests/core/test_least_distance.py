@@ -12,9 +12,9 @@ from hypothesis import given, strategies as st
 
 from coopqp import InvalidInputError, QPController, QPOptions
 from coopqp.baselines import IndependentQPController, IndependentQPOptions
+from coopqp.core import _core as native
+from coopqp.core.constants import LARGEST_X
 from coopqp.errors import MissingSolverError, UnknownNameError
-from coopqp.native import _core as native
-from coopqp.native.constants import LARGEST_X
 from coopqp.scenarios import fast_lift
 from coopqp.solvers import (
     DaqpSettings,

@@ -1,4 +1,4 @@
-/* The module coopqp.native._core. */
+/* The module coopqp.core._core. */
 
 #include "arrays.h"
 

@@ -1,6 +1,6 @@
 """Constants that the core and Python share, listed once: Python reads them here, and the header has them, too.
 
-Names in capitals alone are constants; :mod:`coopqp.native.header` writes them for the core.
+Names in capitals alone are constants; :mod:`coopqp.core.header` writes them for the core.
 """
 
 from __future__ import annotations

@@ -8,7 +8,7 @@ import subprocess
 import sys
 from pathlib import Path
 
-from coopqp.native import constants
+from coopqp.core import constants
 
 
 def test_python_reads_what_it_shares_with_the_core_and_has_no_copies() -> None:

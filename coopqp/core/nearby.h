@@ -9,7 +9,7 @@
 #include <string>
 #include <vector>
 
-#include "arrays.h"
+#include "binding/arrays.h"
 #include "convex.h"
 #include "survey.h"
 

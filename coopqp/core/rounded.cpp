@@ -5,7 +5,7 @@
 
 #include <vector>
 
-#include "arrays.h"
+#include "binding/arrays.h"
 #include "layout.h"
 #include "spatial.h"
 

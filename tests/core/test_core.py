@@ -30,9 +30,9 @@ from coopqp import (
 from coopqp.control.core.loop import CoreLoop
 from coopqp.control.step import decoding
 from coopqp.control.step.constraint_set import Constraints
+from coopqp.core import _core as native, layout
 from coopqp.model import CellState
 from coopqp.model.chain import moving_columns
-from coopqp.native import _core as native, layout
 from coopqp.scenarios import Scenario, at_limit, dual_arm7, mixed_cell, paper_lift, ring
 from coopqp.solvers import QpProblem, QpSolution, QpSolver, make_solver
 from coopqp.spatial import Array
