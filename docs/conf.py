@@ -82,6 +82,11 @@ def _scenes(app, docname, source):
     source[0] = re.sub(r"<!-- plays: (\w+) -->", frame, re.sub(r"<!-- 3d: (\w+) -->", link, source[0]))
 
 
+def _index_entries(app, docname, source):
+    """Put the terms of ``<!-- index: A, B -->`` into the index: in the repository itself a comment shows nothing."""
+    source[0] = re.sub(r"<!-- index: (.+) -->", r"```{index} \1\n```", source[0])
+
+
 def _example(app, what, name, obj, options, lines):
     """Show the example of a class below its text."""
     code = class_examples.example_of(name) if what in ("class", "exception") else ""
@@ -145,6 +150,7 @@ def setup(app):
     gallery.make_all()  # those that are up to date stay
     app.add_source_parser(NotebookParser)
     app.connect("source-read", _scenes)
+    app.connect("source-read", _index_entries)
     app.connect("source-read", _before_examples)
     app.connect("autodoc-process-docstring", _example, priority=900)  # after napoleon
     app.connect("html-page-context", _level_of_captions, priority=900)  # after the theme has made them

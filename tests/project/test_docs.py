@@ -11,6 +11,7 @@ from pathlib import Path
 
 import pytest
 from apart import run_apart
+from listings import LISTING, listing
 from pictures import MOST_PIXELS, PROGRAMS, difference, drawn_alike
 from places import ROOT
 
@@ -22,8 +23,10 @@ EXAMPLES = sorted((DOCS / "examples").glob("[0-9][0-9]_*.py"))
 #: The step of the derivations, which draws nothing.
 THE_STEP = DOCS / "examples" / "the_step.py"
 PAGES = sorted(p for p in DOCS.rglob("*.md") if "_build" not in p.parts)
-#: An example that a page includes, and the output below it.
-SHOWN = re.compile(r"```\{literalinclude\} (\S+\.py)\n.*?^```\n(?:(?!```)[^\n]*\n)*?```text\n(.*?)^```$", re.M | re.S)
+#: An example that a page shows, and the output below it.
+SHOWN = re.compile(
+    r"<!-- listing: (\S+\.py) -->\n```python\n.*?^```\n(?:(?!```)[^\n]*\n)*?```text\n(.*?)^```$", re.M | re.S
+)
 NUMBER = re.compile(r"(?<![\w.])-?\d+(?:\.\d+)?(?:e[+-]?\d+)?")
 #: Figures below this are rounding and differ between machines.
 ROUNDING = 1e-3
@@ -38,6 +41,15 @@ def test_examples_are_numbered_short_and_shown() -> None:
         assert len(source.partition('if "--out"')[0].splitlines()) <= 82, file.name
         assert f"python docs/examples/{file.name}" in source
         assert f"examples/{file.name}" in text
+
+
+def test_programs_and_files_stand_in_the_pages_as_they_are() -> None:
+    """A reader of the repository sees them there. After a change of one: python docs/listings.py."""
+    for page in PAGES:
+        text = page.read_text(encoding="utf-8")
+        assert LISTING.sub(listing, text) == text, page.name
+        assert "{literalinclude}" not in text, page.name
+        assert text.count("<!-- listing:") == len(LISTING.findall(text)), page.name
 
 
 @pytest.mark.slow

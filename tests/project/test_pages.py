@@ -1,7 +1,7 @@
 """Every command line and every block of code on the README and the pages runs as it stands.
 
-Blocks that show the output of an example are compared in test_docs. A block of an unknown kind, or a line with an
-unknown program, fails: it cannot be left out.
+Listings of files, and blocks that show the output of an example, are compared in test_docs. A block of an unknown kind,
+or a line with an unknown program, fails: it cannot be left out.
 """
 
 from __future__ import annotations
@@ -18,6 +18,7 @@ from importlib.metadata import metadata
 from pathlib import Path
 
 import pytest
+from listings import LISTING
 from places import CELL_FILES as CELLS, ROOT
 
 from coopqp import ControlStep, Program, load_cell_file
@@ -30,7 +31,7 @@ from coopqp.visualization import plots
 PAGES = [ROOT / "README.md", ROOT / "benchmarks" / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]
 BLOCK = re.compile(r"^```(\S+)[^\n]*\n(.*?)^```$", re.M | re.S)
 #: Languages that are shown only: outputs and diagrams.
-SHOWN = {"text", "{literalinclude}", "{eval-rst}", "{toctree}", "{index}"}
+SHOWN = {"text", "{eval-rst}", "{toctree}"}
 #: Programs of others, with the lines in which they may stand.
 OTHERS = {"qpbenchmark": "benchmarks/README.md", "cd": "benchmarks/README.md"}
 
@@ -79,7 +80,7 @@ AROUND = {
 
 
 def blocks(page: Path) -> list[tuple[str, str]]:
-    return BLOCK.findall(page.read_text(encoding="utf-8"))
+    return BLOCK.findall(LISTING.sub("", page.read_text(encoding="utf-8")))
 
 
 def name_of(page: Path) -> str:
