@@ -22,7 +22,14 @@ Each package is one part of the flow. It imports from itself and from those abov
 The names that most programs need are here, the others in their packages.
 """
 
-from coopqp.lazy import attach
+from coopqp.lazy import attach, moved
 
-__version__ = "0.2.0"
+__version__ = "0.3.0"
 __getattr__, __dir__, __all__ = attach(__name__, __file__)
+
+_ONE = "the core makes every step, and without it nothing runs; coopqp --version names its version"
+moved(
+    "coopqp.native",
+    "coopqp.core",
+    gone=dict.fromkeys(("available_kernels", "kernel_text", "warn_once", "compiled"), _ONE),
+)

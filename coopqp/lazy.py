@@ -6,18 +6,24 @@ The stub beside a package, ``__init__.pyi``, lists its names, for type checkers 
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from difflib import get_close_matches
+from importlib import import_module
 from pathlib import Path
+from types import MappingProxyType, ModuleType
 from typing import Any
 
 import lazy_loader  # type: ignore[import-untyped]
 
-from coopqp.errors import MissingExtraError
+from coopqp.errors import MissingExtraError, removed
 
 
 def attach(
-    package: str, file: str, *, extra: tuple[str, ...] = ()
+    package: str,
+    file: str,
+    *,
+    extra: tuple[str, ...] = (),
+    gone: Mapping[str, str] = MappingProxyType({}),
 ) -> tuple[Callable[[str], Any], Callable[[], list[str]], list[str]]:
     """``__getattr__``, ``__dir__`` and ``__all__`` of a package whose names the stub beside ``file`` lists.
 
@@ -28,12 +34,15 @@ def attach(
         package: its name.
         file: its ``__init__.py``.
         extra: name of an extra, then the packages that it brings; a missing one is then a MissingExtraError.
+        gone: names of earlier versions, with what replaces each; they raise a RemovedNameError.
     """
     get, listed, names = lazy_loader.attach_stub(package, file)
     beside = Path(file).parent
     public = [name for name in names if not (beside / name).is_dir() and not (beside / f"{name}.py").is_file()]
 
     def get_or_say(name: str) -> Any:
+        if name in gone:
+            removed(package, gone)(name)
         if name not in names:
             asking = sys._getframe(1)
             machinery = asking.f_code.co_filename == "<frozen importlib._bootstrap>"  # it looks for a module next
@@ -55,6 +64,24 @@ def attach(
         return sorted({*vars(sys.modules[package]), *listed()})
 
     return get_or_say, all_listed, public
+
+
+def moved(module: str, now: str, *, gone: Mapping[str, str] = MappingProxyType({})) -> None:
+    """Keep a module of an earlier version findable, for pickles and programs that name it.
+
+    Args:
+        module: its name.
+        now: the module that has its names now.
+        gone: names that no module has any more, with what replaces each.
+    """
+
+    def look(name: str) -> Any:
+        if name in gone or name.startswith("__"):  # who looks through all modules asks for those
+            return removed(module, gone)(name)
+        return getattr(import_module(now), name)
+
+    there = sys.modules.setdefault(module, ModuleType(module))
+    vars(there)["__getattr__"] = look
 
 
 def needed(module: str, extra: str, package: str) -> Any:

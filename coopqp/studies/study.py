@@ -18,6 +18,7 @@ import numpy as np
 from annotated_types import Ge, Le, Len
 from pydantic import Field, ValidationError, model_validator
 
+import coopqp
 from coopqp.errors import CoopqpError, UnknownNameError, shortened, shown
 from coopqp.files.cellfile.basic import FilePath, Name, Seconds, exactly_one
 from coopqp.files.cellfile.explain import explain
@@ -371,12 +372,11 @@ def versions() -> dict[str, str]:
 
     from coopqp.solvers.choice import default_solver
 
-    packages = {
-        name: metadata.version(name) for name in ("coopqp", "pin", "numpy", "scipy", "daqp", "osqp", "proxsuite")
-    }
+    packages = ("pin", "numpy", "scipy", "daqp", "osqp", "proxsuite")
     return {
         "python": platform.python_version(),
-        **packages,
+        "coopqp": coopqp.__version__,
+        **{name: metadata.version(name) for name in packages},
         "solver": str(default_solver()),
         "processor": f"{platform.machine()} {' '.join(name for name in _SIMD if _has(name))}".strip(),
     }

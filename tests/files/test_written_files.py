@@ -111,7 +111,7 @@ def test_the_settings_of_a_run_are_those_of_its_file_or_of_the_file_that_is_give
     assert (found.name, folder) == (load_bar().settings.name, CELL_FILES)
     with pytest.raises(CellFileError, match=r"not one of a cell file.*--cell"):
         settings_of({}, None)
-    with pytest.raises(CellFileError, match="recording's cell file is damaged: grasp: is missing"):
+    with pytest.raises(CellFileError, match=r"own cell file: grasp: is missing\. Give a corrected one with --cell\."):
         settings_of({"settings": {key: value for key, value in tables.items() if key != "grasp"}}, None)
 
 

@@ -250,7 +250,8 @@ def settings_of(metadata: Mapping[str, Any], given: Path | None) -> tuple[CellFi
     try:
         return CellFile.model_validate(renewed(tables, "the recording")), None
     except ValidationError as error:
-        raise CellFileError(f"the recording's cell file is damaged: {explain(error)}") from error
+        said = f"the recording's own cell file: {explain(error).rstrip('.')}. Give a corrected one with --cell."
+        raise CellFileError(said) from error
 
 
 def calibrated_text(
