@@ -36,11 +36,11 @@ import numpy as np
 import pinocchio as pin
 from behaviour_cases import CASES, DWELL, OUTSIDE, Key, Run, build, keys_of, way_back
 from common import Record
+from coopqp.core._core import RECOVERY_SHARE
 
 from coopqp import ControlStep, QPController, QPOptions, Status
 from coopqp.baselines import IndependentQPController, IndependentQPOptions, PseudoInverseController
 from coopqp.control import Controller
-from coopqp.core.constants import RECOVERY_SHARE
 from coopqp.errors import StartWarning
 from coopqp.simulation import limit_excess, relative_positioning_error, tool_placements
 from coopqp.solvers import available_solvers

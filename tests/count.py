@@ -3,9 +3,9 @@
 The rules:
 
 * A line of code has something else on it than comments and docstrings. Python and native code count alike; stubs count.
-* The glue only carries data between Python and the compiled core: the files of ``GLUE``, without the list of constants.
+* The glue only carries data between Python and the compiled core: the files of ``GLUE``.
   The numerical part is the rest of the native code.
-* A constant of the core (``coopqp/core/constants.py``) stands twice if a Python module has a literal of its
+* A constant of the core (``coopqp/core/constants.h``) stands twice if a Python module has a literal of its
   value at the top of the module or of a class, under the constant's name with or without underscores before it, or
   under a name of ``ALIASES``.
 * The names at the top are those of ``coopqp.__all__``.
@@ -24,7 +24,6 @@ import functools
 import io
 import json
 import re
-import runpy
 import sys
 import tokenize
 from collections import Counter
@@ -36,7 +35,7 @@ ROOT = Path(__file__).resolve().parents[1]
 #: Endings of native code.
 NATIVE = (".c", ".h", ".cpp", ".hpp")
 #: Where the constants of the core are listed.
-CONSTANTS = "coopqp/core/constants.py"
+CONSTANTS = "coopqp/core/constants.h"
 #: Files that only carry data to and from the compiled core.
 GLUE = (
     "coopqp/control/step/decoding.py",
@@ -46,6 +45,7 @@ GLUE = (
     "coopqp/control/core/memory.py",
     "coopqp/core/__init__.py",
     "coopqp/core/binding/arrays.h",
+    "coopqp/core/binding/constants.cpp",
     "coopqp/core/binding/module.cpp",
     "coopqp/core/binding/distances.cpp",
     "coopqp/core/binding/guards.h",
@@ -176,16 +176,20 @@ def _number(node: ast.expr) -> float | None:
 
 
 def core_constants(root: Path) -> dict[str, float]:
-    """The constants that Python and the core share: names in capitals."""
-    found = runpy.run_path(str(root / CONSTANTS))
-    return {name: value for name, value in found.items() if name.isupper() and not name.startswith("_")}
+    """The constants that several files of the core share, or Python, too."""
+    found = dict[str, float]()
+    for name, value in re.findall(
+        r"^constexpr \w+ (\w+) = (.+?);", (root / CONSTANTS).read_text("utf-8"), re.MULTILINE
+    ):
+        found[name] = eval(value, {}, found)
+    return found
 
 
 def constants_twice(root: Path) -> dict[str, list[str]]:
     """Constants of the core that stand in Python modules as well, and in which."""
     constants, found = core_constants(root), dict[str, list[str]]()
     for file in sources(root):
-        if file.suffix != ".py" or file == root / CONSTANTS:
+        if file.suffix != ".py":
             continue
         module = _module(file)
         scopes: list[ast.Module | ast.ClassDef] = [module.tree, *module.classes]
@@ -361,7 +365,7 @@ def text(found: dict[str, Any]) -> str:
         lines.append(f"    {package:34}{sum(parts.values()):7}{native}")
     lines += [
         f"{'numerical native code':38}{found['numerical native lines']:7}",
-        f"{'glue of the core':38}{found['glue lines']:7}  (without the list of constants)",
+        f"{'glue of the core':38}{found['glue lines']:7}",
         *(f"    {name:34}{size:7}" for name, size in found["glue by file"].items()),
         f"{'constants of the core that stand twice':38}{len(found['constants twice']):7}  of {found['constants']}",
         f"{'names at the top of coopqp':38}{found['names at the top']:7}",

@@ -11,7 +11,7 @@ import numpy.typing as npt
 
 from coopqp.collision.built_scene import BuiltScene
 from coopqp.collision.distances import Distances
-from coopqp.core.constants import SMALL_CLEARANCE
+from coopqp.core._core import SMALL_CLEARANCE
 from coopqp.spatial import Array
 
 Indices = npt.NDArray[np.intp]

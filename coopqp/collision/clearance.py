@@ -23,7 +23,7 @@ from coopqp.constraints.cause import Cause
 from coopqp.constraints.rate import Knot
 from coopqp.constraints.velocity import MOST_ROWS, ConstraintTrouble, LabelledRows, Quiet, Rank, RowsInMemory
 from coopqp.core import _core
-from coopqp.core.constants import BEND_SAMPLE, BENT_WAY, SMALL_CLEARANCE, STANDING, WATCHED, WATCHED_BLIND
+from coopqp.core._core import BEND_SAMPLE, BENT_WAY, SMALL_CLEARANCE, STANDING, WATCHED, WATCHED_BLIND
 from coopqp.errors import TooCloseError
 from coopqp.model.limits import BindingLimit, LimitKind
 from coopqp.model.shapes import NearPair, by_depth, too_close

@@ -14,7 +14,7 @@ import pinocchio as pin
 from coopqp.collision.built_scene import BuiltScene
 from coopqp.collision.coal_geometry import core_shape
 from coopqp.core import _core
-from coopqp.core.constants import DEEPEST, FARTHEST_POINT, LEAST_CLEARANCE
+from coopqp.core._core import DEEPEST, FARTHEST_POINT, LEAST_CLEARANCE
 from coopqp.model.chain import moving_columns
 from coopqp.spatial import Array
 

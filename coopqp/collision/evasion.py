@@ -10,7 +10,7 @@ import pinocchio as pin
 
 from coopqp.collision.built_scene import BuiltScene
 from coopqp.collision.distances import Distances, LowerBounds
-from coopqp.core.constants import EVADES_EARLY, GENTLE, HELPS, SMALL_CLEARANCE, YIELDS
+from coopqp.core._core import EVADES_EARLY, GENTLE, HELPS, SMALL_CLEARANCE, YIELDS
 from coopqp.model.cell import RobotCell
 from coopqp.model.chain import moving_columns
 from coopqp.planning.joint_trajectories import CellTrajectory

@@ -10,7 +10,7 @@ import pinocchio as pin
 
 from coopqp.collision.built_scene import BuiltScene
 from coopqp.collision.distances import new_request
-from coopqp.core.constants import DEEPEST, FARTHEST_POINT, TURN_LENGTH
+from coopqp.core._core import DEEPEST, FARTHEST_POINT, TURN_LENGTH
 from coopqp.model.grasp import Grasp
 from coopqp.spatial import Array, cross
 

@@ -13,7 +13,7 @@ from coopqp.checks import as_vector
 from coopqp.collision.built_scene import BuiltScene
 from coopqp.collision.distances import Gradient
 from coopqp.constraints.velocity import MOST_ROWS, LabelledRows
-from coopqp.core.constants import BRAKING_SHARE
+from coopqp.core._core import BRAKING_SHARE
 from coopqp.errors import UnknownNameError
 from coopqp.model.limits import BindingLimit, LimitKind
 from coopqp.spatial import Array, as_placement

@@ -16,7 +16,7 @@ import numpy.typing as npt
 
 from coopqp.collision.built_scene import BuiltScene
 from coopqp.collision.distances import Distances
-from coopqp.core.constants import SMALL_CLEARANCE
+from coopqp.core._core import SMALL_CLEARANCE
 from coopqp.model.shapes import NearPair
 from coopqp.planning.branch_checks import PathVerdict
 from coopqp.planning.clearance_check import ClearanceCheck

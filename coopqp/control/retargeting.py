@@ -8,7 +8,7 @@ import numpy as np
 import pinocchio as pin
 
 from coopqp.control.lookahead.ramp_time import RampTime
-from coopqp.core.constants import RATE_TOLERANCE, STILL_OBJECT
+from coopqp.core._core import RATE_TOLERANCE, STILL_OBJECT
 from coopqp.paths.path import ObjectPath
 from coopqp.paths.servo import ServoPath
 

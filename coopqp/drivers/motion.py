@@ -8,7 +8,7 @@ from typing import final
 
 import numpy as np
 
-from coopqp.core.constants import LONGEST_LAG
+from coopqp.core._core import LONGEST_LAG
 from coopqp.drivers.command_spline import CommandSpline
 from coopqp.drivers.driver import RobotState
 from coopqp.drivers.follow_slowest import FollowSlowest

@@ -36,7 +36,7 @@ import pinocchio as pin
 from coopqp.control.core.force_memory import BY_RELEASE, gives_way, minding_scalars, minding_size, minding_views
 from coopqp.control.monitoring.stress import servo_wrenches
 from coopqp.core import _core
-from coopqp.core.constants import LOOK_EVERY
+from coopqp.core._core import LOOK_EVERY
 from coopqp.errors import InvalidInputError
 from coopqp.forces.force_options import ForceOptions
 from coopqp.forces.holding import Holding, Holds, Moved, SharesOf

@@ -34,7 +34,7 @@ from coopqp.control.operator.calls import OperatorCalls
 from coopqp.control.operator.changes import Change
 from coopqp.control.operator.operator import Operator
 from coopqp.control.qp import QPController
-from coopqp.core.constants import SAME_CLOCK, STILL_OBJECT
+from coopqp.core._core import SAME_CLOCK, STILL_OBJECT
 from coopqp.errors import InvalidInputError
 from coopqp.forces.admittance import Relaxation
 from coopqp.forces.force_options import ForceOptions

@@ -16,7 +16,7 @@ from typing import final
 import numpy as np
 
 from coopqp.control.monitoring.stress import whole_compliance
-from coopqp.core.constants import STRUCTURE
+from coopqp.core._core import STRUCTURE
 from coopqp.forces.internal import SHARE_LENGTH
 from coopqp.model.grasp import Grasp
 from coopqp.paths.time_law import TimeLaw

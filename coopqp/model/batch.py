@@ -14,7 +14,7 @@ import numpy.typing as npt
 
 from coopqp.checks import ArrayLike, as_floats
 from coopqp.core import _core
-from coopqp.core.constants import MOST_JOINTS
+from coopqp.core._core import MOST_JOINTS
 from coopqp.errors import InvalidInputError, ModelError
 from coopqp.model.cell import Arm
 from coopqp.model.links import check_count, joint_links

@@ -18,7 +18,7 @@ import numpy.typing as npt
 import pinocchio as pin
 
 from coopqp.checks import read_only
-from coopqp.core.constants import LARGE_INVERSE, SINGULAR_FLOOR
+from coopqp.core._core import LARGE_INVERSE, SINGULAR_FLOOR
 from coopqp.model.cell import RobotCell, of_cell
 from coopqp.model.grasp import Grasp
 from coopqp.spatial import Array, twist_at

@@ -13,7 +13,7 @@ import numpy as np
 import pinocchio as pin
 
 from coopqp.checks import ArrayLike, as_scalar
-from coopqp.core.constants import LONGEST_STEP
+from coopqp.core._core import LONGEST_STEP
 from coopqp.errors import UnreachableError
 from coopqp.model.batch import ArmKinematics
 from coopqp.model.branches import AT_LIMIT, all_turns, amount, find_branches

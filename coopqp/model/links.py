@@ -10,7 +10,7 @@ import numpy as np
 import pinocchio as pin
 
 from coopqp.checks import read_only
-from coopqp.core.constants import MOST_JOINTS
+from coopqp.core._core import MOST_JOINTS
 from coopqp.errors import ModelError
 from coopqp.spatial import Array, skew
 

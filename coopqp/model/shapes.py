@@ -11,7 +11,7 @@ import numpy as np
 import pinocchio as pin
 
 from coopqp.checks import NOT_NUMBERS, as_floats, as_vector, keep_scalars, read_only, require
-from coopqp.core.constants import DEEPEST
+from coopqp.core._core import DEEPEST
 from coopqp.errors import InvalidInputError, has_controls, shown
 from coopqp.model.limits import BindingLimit
 from coopqp.model.meshes import MOST_BYTES

@@ -19,7 +19,7 @@ from typing import TypeVar, final
 import numpy as np
 import pinocchio as pin
 
-from coopqp.core.constants import NO_CORNER, RAMP_AT_MIDDLE, SHORTEST_LINE, TURN_LENGTH
+from coopqp.core._core import NO_CORNER, RAMP_AT_MIDDLE, SHORTEST_LINE, TURN_LENGTH
 from coopqp.errors import InvalidInputError
 from coopqp.spatial import Array, as_placement, cross, rotations
 

@@ -16,7 +16,7 @@ from typing import final
 import numpy as np
 import pinocchio as pin
 
-from coopqp.core.constants import GRASP_PIECE
+from coopqp.core._core import GRASP_PIECE
 from coopqp.paths.joint_path import JointPiece
 from coopqp.paths.time_law import TimeLaw
 from coopqp.shown import Brief

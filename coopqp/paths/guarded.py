@@ -10,7 +10,7 @@ import numpy as np
 import pinocchio as pin
 
 from coopqp.checks import as_scalar, as_vector
-from coopqp.core.constants import (
+from coopqp.core._core import (
     FASTEST_PATH,
     JUMP_WIDTH,
     KINK_SHARE,

@@ -11,7 +11,7 @@ import numpy as np
 import pinocchio as pin
 
 from coopqp.checks import ArrayLike, as_floats, as_scalar
-from coopqp.core.constants import WAY_HEAD
+from coopqp.core._core import WAY_HEAD
 from coopqp.errors import InvalidInputError
 from coopqp.paths.elbows import Elbows
 from coopqp.paths.time_law import TimeLaw

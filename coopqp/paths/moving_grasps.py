@@ -6,7 +6,7 @@ import math
 
 import pinocchio as pin
 
-from coopqp.core.constants import SEGMENT
+from coopqp.core._core import SEGMENT
 from coopqp.errors import InvalidInputError
 from coopqp.model.grasp import Grasp
 from coopqp.paths.grasp_motion import LAWS, GraspPiece

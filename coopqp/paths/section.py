@@ -9,7 +9,7 @@ import numpy as np
 import pinocchio as pin
 
 from coopqp.checks import as_scalar
-from coopqp.core.constants import SAME_CLOCK, SEGMENT
+from coopqp.core._core import SAME_CLOCK, SEGMENT
 from coopqp.errors import InvalidInputError
 from coopqp.paths.elbows import Elbows
 from coopqp.paths.grasp_motion import of_section

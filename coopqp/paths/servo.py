@@ -8,7 +8,7 @@ import numpy as np
 import pinocchio as pin
 
 from coopqp.checks import as_scalar, as_vector
-from coopqp.core.constants import NOWHERE, SHORTEST_CHANGE, SPEEDS, STILL_OBJECT
+from coopqp.core._core import NOWHERE, SHORTEST_CHANGE, SPEEDS, STILL_OBJECT
 from coopqp.errors import InvalidInputError
 from coopqp.paths.path import ObjectPath
 from coopqp.spatial import Array, Placement, as_placement, axis_angle, for_twists

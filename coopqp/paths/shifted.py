@@ -9,7 +9,7 @@ import numpy as np
 import pinocchio as pin
 
 from coopqp.checks import as_scalar
-from coopqp.core.constants import SHIFT, TURN_LENGTH
+from coopqp.core._core import SHIFT, TURN_LENGTH
 from coopqp.errors import InvalidInputError
 from coopqp.paths.path import ObjectPath
 from coopqp.paths.section import Section

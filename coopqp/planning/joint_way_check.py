@@ -9,7 +9,7 @@ import numpy as np
 import pinocchio as pin
 
 from coopqp.constraints.samples import PathSamples
-from coopqp.core.constants import FAR_FROM_WAY
+from coopqp.core._core import FAR_FROM_WAY
 from coopqp.errors import InvalidInputError
 from coopqp.model.batch import ArmKinematics
 from coopqp.model.branches import amount

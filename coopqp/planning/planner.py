@@ -12,7 +12,7 @@ from typing import Any, NoReturn
 import numpy as np
 
 from coopqp.checks import ArrayLike, as_count, as_scalar
-from coopqp.core.constants import TURN_LENGTH
+from coopqp.core._core import TURN_LENGTH
 from coopqp.errors import InvalidInputError, UndecidedError, UnreachableError
 from coopqp.model.cell import RobotCell
 from coopqp.model.chain import moving_columns

@@ -13,7 +13,7 @@ import numpy as np
 import pinocchio as pin
 
 from coopqp.checks import ArrayLike, as_count, as_scalar, require
-from coopqp.core.constants import FAR_FROM_WAY, SEGMENT
+from coopqp.core._core import FAR_FROM_WAY, SEGMENT
 from coopqp.errors import InvalidInputError, UnreachableError
 from coopqp.model.batch import ArmKinematics
 from coopqp.model.branches import AT_LIMIT

@@ -7,7 +7,7 @@ from typing import Any, final
 
 import numpy as np
 
-from coopqp.core.constants import TURN_LENGTH
+from coopqp.core._core import TURN_LENGTH
 from coopqp.errors import InvalidInputError
 from coopqp.paths.geometry import PathGeometry, Piece
 from coopqp.paths.guarded import GuardedPath, twist_distance

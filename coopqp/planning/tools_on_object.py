@@ -15,7 +15,7 @@ import numpy as np
 import pinocchio as pin
 
 from coopqp.constraints.samples import PathSamples
-from coopqp.core.constants import SEGMENT
+from coopqp.core._core import SEGMENT
 from coopqp.model.cell import RobotCell
 from coopqp.paths.geometry import MotionBounds, Piece
 from coopqp.paths.grasp_motion import GraspPiece

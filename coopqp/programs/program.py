@@ -12,7 +12,7 @@ import numpy as np
 import pinocchio as pin
 
 from coopqp.checks import ArrayLike, as_scalar, read_only, require
-from coopqp.core.constants import SEGMENT
+from coopqp.core._core import SEGMENT
 from coopqp.errors import InvalidInputError, UnknownNameError
 from coopqp.model.cell import RobotCell
 from coopqp.model.grasp import Grasp

@@ -8,7 +8,7 @@ import numpy as np
 
 from coopqp.checks import as_options
 from coopqp.core import _core
-from coopqp.core.constants import LARGEST_X
+from coopqp.core._core import LARGEST_X
 from coopqp.solvers.base import Outcome, QpSolver, SolverSettings, Workspace
 from coopqp.solvers.polish import finish
 from coopqp.solvers.problem import INFINITE, Array, QpProblem, SolverStatus

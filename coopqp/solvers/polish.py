@@ -8,7 +8,7 @@ import eigenpy  # type: ignore[import-untyped]
 import numpy as np
 from numpy.typing import NDArray
 
-from coopqp.core.constants import LARGEST_X
+from coopqp.core._core import LARGEST_X
 from coopqp.solvers.base import Outcome, Workspace
 from coopqp.solvers.problem import INFINITE, Array, QpProblem, SolverStatus
 

@@ -15,6 +15,7 @@ import numpy as np
 import pinocchio as pin
 import pytest
 from convex import core_of, distance
+from coopqp.core._core import YIELDS
 from golden import Golden
 from hypothesis import given, settings, strategies as st
 from marks import slow_but_first, slow_unless
@@ -41,7 +42,6 @@ from coopqp.collision.distances import Distances, LowerBounds
 from coopqp.collision.evasion import Evasion
 from coopqp.constraints.velocity import MOST_ROWS, ConstraintTrouble
 from coopqp.core import _core
-from coopqp.core.constants import YIELDS
 from coopqp.errors import MissingExtraError, UnknownNameError
 from coopqp.files import CellFileError
 from coopqp.model import CellState

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 import pytest
+from coopqp.core._core import BRAKING_SHARE, EVADES_EARLY
 
 from coopqp import Clearance, CollisionScene, check_path
 from coopqp.collision import Body, Box, Sphere
@@ -15,7 +16,6 @@ from coopqp.collision.distances import Distances, Gradient, LowerBounds
 from coopqp.collision.evasion import EvadingSlopes, Evasion
 from coopqp.collision.moving_bodies import MovingBodies
 from coopqp.constraints.velocity import LabelledRows
-from coopqp.core.constants import BRAKING_SHARE, EVADES_EARLY
 from coopqp.model import CellState, LimitKind
 from coopqp.planning import ClearanceCheck, PathVerdict
 from coopqp.planning.joint_trajectories import ArmTrajectory, HeldTrajectory

@@ -31,7 +31,7 @@ from coopqp.control.operator.trail import Trail
 from coopqp.control.step.contact import Contact, filter_time, handed
 from coopqp.control.step.decoding import reason
 from coopqp.control.step.start import check_start, held_command, rate_into, start_warning
-from coopqp.core import constants, layout
+from coopqp.core import _core as constants, layout
 from coopqp.errors import StartWarning, StiffnessWarning
 from coopqp.model import CellState
 from coopqp.model.shapes import too_close

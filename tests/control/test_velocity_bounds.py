@@ -10,12 +10,12 @@ from typing import Any
 
 import numpy as np
 import pytest
+from coopqp.core._core import RECOVERY_SHARE
 from hypothesis import given, strategies as st
 from numpy.typing import NDArray
 
 from coopqp import BindingLimit, JointLimits, LimitKind, RobotCell
 from coopqp.control.step.velocity_bounds import VelocityBox
-from coopqp.core.constants import RECOVERY_SHARE
 
 Array = NDArray[np.float64]
 STEPS = [0.001, 0.002, 0.01]  # [s]

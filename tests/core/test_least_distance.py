@@ -8,12 +8,12 @@ from typing import Any
 import numpy as np
 import pytest
 import recorded_qps
+from coopqp.core._core import LARGEST_X
 from hypothesis import given, strategies as st
 
 from coopqp import InvalidInputError, QPController, QPOptions
 from coopqp.baselines import IndependentQPController, IndependentQPOptions
 from coopqp.core import _core as native
-from coopqp.core.constants import LARGEST_X
 from coopqp.errors import MissingSolverError, UnknownNameError
 from coopqp.scenarios import fast_lift
 from coopqp.solvers import (

@@ -11,7 +11,19 @@ import pytest
 
 from coopqp.errors import CoopqpError, MissingCoreError, RemovedNameError
 
-NONE = "import sys; sys.modules['coopqp.core._core'] = None; import coopqp; "
+#: As if there were no such file.
+NONE = """
+import sys
+
+class Hidden:
+    @staticmethod
+    def find_spec(name, *_):
+        if name == "coopqp.core._core":
+            raise ModuleNotFoundError(f"No module named {name!r}")
+
+sys.meta_path.insert(0, Hidden)
+import coopqp
+"""
 DEMO = "from coopqp.cli.main import main; sys.exit(main(['demo', '--out', 'never_written']))"
 REMEDY = "pip install --force-reinstall coopqp"
 

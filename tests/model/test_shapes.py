@@ -8,9 +8,9 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 import pytest
+from coopqp.core._core import DEEPEST
 
 from coopqp import InvalidInputError
-from coopqp.core.constants import DEEPEST
 from coopqp.model.shapes import MOST_TRIANGLES, Body, Box, Capsule, Cylinder, Hull, Mesh, NearPair, Sphere
 
 TETRAHEDRON = np.vstack([np.zeros(3), np.eye(3)])

@@ -11,12 +11,12 @@ from pathlib import Path
 
 import pytest
 from apart import run_apart
+from coopqp.core._core import RECOVERY_SHARE
 from listings import LISTING, listing
 from pictures import MOST_PIXELS, PROGRAMS, difference, drawn_alike
 from places import ROOT
 
 import coopqp
-from coopqp.core.constants import RECOVERY_SHARE
 
 DOCS = ROOT / "docs"
 EXAMPLES = sorted((DOCS / "examples").glob("[0-9][0-9]_*.py"))

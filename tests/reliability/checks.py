@@ -16,6 +16,7 @@ from typing import Any, TypeAlias
 import numpy as np
 import numpy.typing as npt
 import pinocchio as pin
+from coopqp.core._core import RECOVERY_SHARE
 from runs import built, drive, limited
 
 from coopqp import (
@@ -32,7 +33,6 @@ from coopqp import (
     inverse_kinematics,
 )
 from coopqp.control.step.velocity_bounds import VelocityBox
-from coopqp.core.constants import RECOVERY_SHARE
 from coopqp.errors import UnreachableError
 from coopqp.model import CellState
 from coopqp.scenarios import Scenario, at_limit

@@ -29,7 +29,7 @@ from coopqp.control.step.decoding import STATUSES, RecordReader, unsolved
 from coopqp.control.step.other_solver import StepSolver
 from coopqp.control.step.velocity_bounds import VelocityBox
 from coopqp.core import layout
-from coopqp.core.constants import MOST_MINDING, MOST_TIGHTENINGS, SAME_CLOCK, SEGMENT
+from coopqp.core._core import MOST_MINDING, MOST_TIGHTENINGS, SAME_CLOCK, SEGMENT
 from coopqp.errors import InvalidInputError
 from coopqp.model.cell import RobotCell
 from coopqp.model.chain import Chain

@@ -11,10 +11,10 @@ from coopqp.constraints.velocity import MOST_ROWS
 from coopqp.control.lookahead.options import PlanLimits, PreviewOptions
 from coopqp.control.monitoring.options import SupervisionOptions
 from coopqp.control.options import QPOptions
+from coopqp.control.step.other_solver import CALM
 from coopqp.control.step.velocity_bounds import VelocityBox
 from coopqp.core import _core as native, layout
-from coopqp.core.constants import (
-    CALM,
+from coopqp.core._core import (
     LAG,
     LARGEST_MOVE,
     MOST_GROUP_JOINTS,

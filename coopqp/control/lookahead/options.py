@@ -8,12 +8,14 @@ from typing import Annotated
 import numpy as np
 
 from coopqp.checks import Doc, as_count, documented, keep_scalars
-from coopqp.core.constants import STEPS_TO_EDGE, STEPS_TO_FULL_SPEED
+from coopqp.core._core import STEPS_TO_FULL_SPEED
 from coopqp.model.cell import RobotCell
 from coopqp.spatial import Array
 
 #: Planned share of the largest change of the rate, under acceleration limits.
 _SHARE_OF_SLOPE = 0.9
+#: An arm's joints would take this many steps to the end of its reach.
+_STEPS_TO_EDGE = 2
 #: Shortest interval between grid points, as a share of the path's duration.
 _SHORTEST_SHARE = 1e-5
 
@@ -109,7 +111,7 @@ class PlanLimits:
         limits, finite = cell.limits, np.isfinite(cell.limits.acceleration)
         speed = np.where(np.isfinite(limits.velocity), limits.velocity, 1.0)
         planned, accelerates = options.margin * limits.acceleration, bool(finite.any())
-        acceleration, time = np.where(finite, planned, speed / (STEPS_TO_FULL_SPEED * dt)), STEPS_TO_EDGE * dt
+        acceleration, time = np.where(finite, planned, speed / (STEPS_TO_FULL_SPEED * dt)), _STEPS_TO_EDGE * dt
         slope_cap = options.slope(accelerates=accelerates, dt=dt)
         return PlanLimits(
             np.where(finite, options.margin, 1.0) * limits.velocity,

@@ -8,7 +8,7 @@ import numpy as np
 import pinocchio as pin
 
 from coopqp.control.lookahead.options import PlanLimits, PreviewOptions
-from coopqp.core.constants import CHANGE_SHARE, LARGEST_JUMP
+from coopqp.core._core import CHANGE_SHARE, LARGEST_JUMP
 from coopqp.model.cell import RobotCell
 from coopqp.model.chain import Chain
 from coopqp.model.grasp import Grasp

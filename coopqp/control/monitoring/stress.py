@@ -18,7 +18,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from coopqp.core.constants import STRUCTURE
+from coopqp.core._core import STRUCTURE
 from coopqp.spatial import Array
 
 

@@ -12,7 +12,7 @@ import pinocchio as pin
 from coopqp.checks import as_scalar
 from coopqp.control.operator.hands import HAND_SILENCE
 from coopqp.control.operator.way import Way
-from coopqp.core.constants import SAME_CLOCK
+from coopqp.core._core import SAME_CLOCK
 from coopqp.errors import InvalidInputError
 from coopqp.paths.guarded import GuardedPath
 from coopqp.paths.moving_grasps import grasp_at

@@ -19,7 +19,7 @@ from coopqp.control.operator.trail import Trail
 from coopqp.control.operator.way import Way
 from coopqp.control.options import QPOptions
 from coopqp.control.retargeting import object_rests, retarget_motion
-from coopqp.core.constants import MOST_TRAVELS, RATE_ROUNDING, RATE_TOLERANCE, SAME_CLOCK, STILL_OBJECT
+from coopqp.core._core import MOST_TRAVELS, RATE_ROUNDING, RATE_TOLERANCE, SAME_CLOCK, STILL_OBJECT
 from coopqp.errors import said
 from coopqp.model.cell import RobotCell
 from coopqp.model.chain import Chain

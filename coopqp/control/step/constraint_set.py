@@ -22,7 +22,7 @@ from coopqp.constraints.velocity import (
     VelocityConstraint,
     no_rows,
 )
-from coopqp.core.constants import STILL_SLOPE
+from coopqp.core._core import STILL_SLOPE
 from coopqp.errors import InvalidInputError, said, shown
 from coopqp.model.cell import RobotCell
 from coopqp.model.limits import BindingLimit, LimitKind

@@ -14,7 +14,7 @@ from typing import final
 import numpy as np
 import pinocchio as pin
 
-from coopqp.core.constants import SAME_CLOCK
+from coopqp.core._core import SAME_CLOCK
 from coopqp.model.cell import RobotCell
 from coopqp.model.grasp import Grasp, mean_pose
 from coopqp.paths.grasp_motion import GraspMotion

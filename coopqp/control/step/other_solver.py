@@ -14,13 +14,16 @@ from coopqp.constraints.velocity import Rows
 from coopqp.control.interface import SolverReport
 from coopqp.control.options import QPOptions, RankWeights
 from coopqp.control.step.velocity_bounds import VelocityBox
-from coopqp.core.constants import CALM, SINGULAR_FLOOR
+from coopqp.core._core import SINGULAR_FLOOR
 from coopqp.errors import said
 from coopqp.model.chain import Chain
 from coopqp.solvers.base import QpSolver
 from coopqp.solvers.choice import make_solver
 from coopqp.solvers.problem import QpProblem, QpSolution, SolverStatus
 from coopqp.spatial import Array
+
+#: Where the chain may part, self-motion costs no less than this share of it.
+CALM = 1e-10
 
 
 def _ask(solver: QpSolver, problem: QpProblem) -> QpSolution:

@@ -11,7 +11,7 @@ import math
 
 import numpy as np
 
-from coopqp.core.constants import (
+from coopqp.core._core import (
     HELD_SHARE,
     HELD_SPEED,
     INSIDE,

@@ -73,5 +73,6 @@ void bind_distances(nb::module_ &m);
 void bind_edges(nb::module_ &m);
 void bind_rounded(nb::module_ &m);
 void bind_clock(nb::module_ &m);
+void bind_constants(nb::module_ &m);
 
 #endif

@@ -11,4 +11,5 @@ NB_MODULE(_core, m) {
     bind_edges(m);
     bind_rounded(m);
     bind_clock(m);
+    bind_constants(m);
 }

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 import pinocchio as pin
 
-from coopqp.core.constants import SMALL_CLEARANCE
+from coopqp.core._core import SMALL_CLEARANCE
 from coopqp.model.batch import ArmKinematics
 from coopqp.model.branches import AT_LIMIT, Branches, all_turns, amount, find_branches
 from coopqp.model.cell import RobotCell

@@ -12,7 +12,7 @@ import numpy as np
 import pinocchio as pin
 
 from coopqp.checks import NOT_NUMBERS, ArrayLike, as_count, as_floats, as_scalar
-from coopqp.core.constants import SMALL_CLEARANCE
+from coopqp.core._core import SMALL_CLEARANCE
 from coopqp.errors import InvalidInputError
 from coopqp.model.batch import ArmKinematics
 from coopqp.model.cell import RobotCell

@@ -5,7 +5,7 @@ from __future__ import annotations
 import itertools
 from collections.abc import Sequence
 
-from coopqp.core.constants import TURN_LENGTH
+from coopqp.core._core import TURN_LENGTH
 from coopqp.paths.geometry import PathGeometry, Straight, blended
 from coopqp.planning.route.tree import Pose, between, length_of
 from coopqp.spatial import Array

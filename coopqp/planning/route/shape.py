@@ -10,7 +10,7 @@ from typing import NamedTuple, final
 import numpy as np
 import pinocchio as pin
 
-from coopqp.core.constants import TURN_LENGTH
+from coopqp.core._core import TURN_LENGTH
 from coopqp.model.joint_limits import JointLimits
 from coopqp.paths.geometry import PathGeometry
 from coopqp.planning.route.duration import estimated_duration

@@ -9,7 +9,7 @@ from typing import NamedTuple, final
 import numpy as np
 import pinocchio as pin
 
-from coopqp.core.constants import TURN_LENGTH
+from coopqp.core._core import TURN_LENGTH
 from coopqp.planning.route.edges import Edges, Stop
 from coopqp.spatial import Array
 
