@@ -1,6 +1,6 @@
 """Persistent solvers compared with rebuilt ones: only the calls of ProxQP and OSQP, without coopqp's checks.
 
-Persistent: update and solve, warm. Rebuilt: ``qpsolvers.solve_problem`` at the same accuracy. No checks, no polishing.
+Persistent: update and solve, warm. Rebuilt: ``qpsolvers.solve_problem`` at the same accuracy. No checks.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ import numpy as np
 from common import Record
 from recorded_qps import Recorded
 
-from coopqp.solvers import QpProblem, make_solver
+from coopqp.solvers import QpProblem
 
 _PROXQP = {"eps_abs": 1e-9, "eps_rel": 0.0, "check_duality_gap": True, "eps_duality_gap_abs": 1e-9}
 _OSQP = {"eps_abs": 1e-7, "eps_rel": 1e-7, "max_iter": 4000}
@@ -63,20 +63,27 @@ def _proxqp(problems: Sequence[QpProblem]) -> Callable[[QpProblem], Callable[[],
 
 
 def _osqp(problems: Sequence[QpProblem]) -> Callable[[QpProblem], Callable[[], object]]:
-    kept: Any = make_solver("osqp")
-    kept.solve(problems[0])
-    work = kept._workspace
+    import osqp
+    from scipy.sparse import csc_matrix
+
+    def data(problem: QpProblem) -> tuple[Any, Any, Any, Any]:
+        rows = problem.stacked()
+        low = np.where(rows.low <= -_INFINITE, -np.inf, rows.low)
+        high = np.where(rows.high >= _INFINITE, np.inf, rows.high)
+        return problem.H.T[upper.T], rows.G.T.ravel(), low, high
+
+    upper = np.triu(np.ones_like(problems[0].H, dtype=bool))
+    entries = csc_matrix(upper, dtype=float), csc_matrix(np.ones_like(problems[0].stacked().G))  # any may come
+    kept = osqp.OSQP()
+    kept.setup(entries[0], problems[0].g, entries[1], *data(problems[0])[2:], verbose=False, **_OSQP)
 
     def ready(problem: QpProblem) -> Callable[[], object]:
-        work.load(problem, 1e30)
-        if not kept._load(problem):
-            kept.solve(problem)  # other nonzero entries: sets up again
-        theirs = kept._osqp
+        H, G, low, high = data(problem)
 
         def solve() -> None:
-            theirs.update(q=problem.g, l=work.lower, u=work.upper)
-            theirs.update(Px=kept._P, Ax=kept._A)
-            theirs.solve(raise_error=False)
+            kept.update(q=problem.g, l=low, u=high)
+            kept.update(Px=H, Ax=G)
+            kept.solve(raise_error=False)
 
         return solve
 

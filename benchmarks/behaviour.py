@@ -46,7 +46,7 @@ from coopqp.simulation import limit_excess, relative_positioning_error, tool_pla
 from coopqp.solvers import available_solvers
 from coopqp.spatial import Array
 
-#: Persistent QP solvers; the installed ones are run.
+#: QP solvers; the installed ones are run.
 KEPT = ("daqp", "proxqp", "osqp")
 CONTROLLERS = ("pseudo_inverse", "independent", "cooperative")
 #: With --quick, number of runs per case of all controllers except the cooperative QP with the first solver.

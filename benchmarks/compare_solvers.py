@@ -12,7 +12,6 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import Any
 
 import common  # first: it limits BLAS to one thread
 import numpy as np
@@ -20,7 +19,7 @@ from backend_alone import backend_alone
 from common import Record
 from recorded_qps import Recorded, RecordedQp, export, record
 
-from coopqp.solvers import GenericSettings, OsqpSettings, ProxqpSettings, QpSolver, available_solvers, make_solver
+from coopqp.solvers import QpSolver, available_solvers, make_solver
 from coopqp.spatial import Array
 
 KEYS = (
@@ -37,20 +36,15 @@ KEYS = (
     "chain_mm",
     # additional keys
     "start",
-    "polish",
     "solves",
     "iterations",
     "without_answer",
     "message",
 )
 #: Persistent solvers, and those among them that qpsolvers does not know.
-KEPT, ONLY_KEPT = ("ldp", "daqp", "proxqp", "osqp"), ("ldp",)
-#: Backends with approximate solutions, which run with and without polishing.
-APPROXIMATE = ("proxqp", "osqp")
+KEPT, ONLY_KEPT = ("ldp", "proxqp", "osqp"), ("ldp",)
 #: Backends with solutions that are exact up to rounding. Their best solution is the reference.
-ACTIVE_SET = ("ldp", "daqp", "qpsolvers:daqp", "quadprog")
-#: Accuracy and feasibility of raw solutions, so loose that they are not solved again.
-_RAW_ACCURACY, _RAW_FEASIBILITY = 1e-3, 1e-5
+ACTIVE_SET = ("ldp", "daqp", "quadprog")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -89,33 +83,24 @@ class Way:
     solver: str
     mode: str
     start: str
-    polish: bool
 
     @property
     def name(self) -> str:
-        return f"{self.solver} {self.mode} {self.start} {'polished' if self.polish else 'raw'}"
+        return f"{self.solver} {self.mode} {self.start}"
 
     def make(self) -> QpSolver:
         """A new solver."""
-        raw: dict[str, Any] = {"polish": False, "accuracy": _RAW_ACCURACY, "feasibility_tol": _RAW_FEASIBILITY}
-        if self.mode == "rebuilt":
-            return make_solver(f"qpsolvers:{self.solver}", None if self.polish else GenericSettings(**raw))
-        if self.polish or self.solver not in APPROXIMATE:
-            return make_solver(self.solver)
-        return make_solver(self.solver, OsqpSettings(**raw) if self.solver == "osqp" else ProxqpSettings(**raw))
+        return make_solver(self.solver if self.mode == "kept" else f"qpsolvers:{self.solver}")
 
 
 def ways() -> list[Way]:
     """Persistent solvers warm and from scratch, and all backends rebuilt by qpsolvers."""
     found = []
     for solver in available_solvers():
-        # Active-set methods are exact. The checks after a rebuilt solve may still polish the solution.
-        polishes = (True, False) if solver in APPROXIMATE else (True,)
-        for polish in polishes:
-            if solver in KEPT:
-                found += [Way(solver=solver, mode="kept", start=start, polish=polish) for start in ("warm", "cold")]
-            if solver not in ONLY_KEPT:
-                found.append(Way(solver=solver, mode="rebuilt", start="cold", polish=polish))
+        if solver in KEPT:
+            found += [Way(solver=solver, mode="kept", start=start) for start in ("warm", "cold")]
+        if solver not in ONLY_KEPT:
+            found.append(Way(solver=solver, mode="rebuilt", start="cold"))
     return found
 
 
@@ -164,7 +149,7 @@ class Run:
 
 def best_answers(recorded: Recorded) -> list[Array | None]:
     """Velocities (nv,) of the active-set solution with the smallest KKT residual; None without a solution."""
-    names = [name for name in ACTIVE_SET if name.removeprefix("qpsolvers:") in available_solvers()]
+    names = [name for name in ACTIVE_SET if name in available_solvers()]
     answers: list[Array | None] = []
     for qp in recorded.qps:
         least, best = np.inf, None
@@ -221,7 +206,6 @@ def _record(run: Run, one: Recorded, samples: Array, missing: int) -> Record:
         "error_rad_s": run.error if solved else None,
         "chain_mm": run.chain_mm if solved else None,
         "start": way.start,
-        "polish": way.polish,
         "solves": run.solves,
         "iterations": round(run.iterations / run.solves, 1),
         "without_answer": missing,
@@ -230,16 +214,15 @@ def _record(run: Run, one: Recorded, samples: Array, missing: int) -> Record:
 
 
 def kept_ratios(records: Sequence[Record]) -> list[Record]:
-    """Ratio of the medians persistent and warm / rebuilt, for the same recording and the same polishing."""
-    times = {(r["solver"], r["polish"], r["case"], r["arms"], r["mode"], r["start"]): r for r in records}
+    """Ratio of the medians persistent and warm / rebuilt, for the same recording."""
+    times = {(r["solver"], r["case"], r["arms"], r["mode"], r["start"]): r for r in records}
     found = []
-    for (solver, polish, case, arms, mode, start), r in times.items():
+    for (solver, case, arms, mode, start), r in times.items():
         if (mode, start) == ("kept", "warm") and solver not in ONLY_KEPT:
-            other = times[solver, polish, case, arms, "rebuilt", "cold"]
+            other = times[solver, case, arms, "rebuilt", "cold"]
             found.append(
                 {
                     "solver": solver,
-                    "polish": polish,
                     "case": case,
                     "arms": arms,
                     "kept_us": r["p50_us"],
@@ -262,8 +245,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         "clock": "CPU time of the thread",
         "rounds": plan.rounds,
         "round": f"{plan.round_s} s",
-        "raw answers": f"polish=False, accuracy={_RAW_ACCURACY:g}, feasibility_tol={_RAW_FEASIBILITY:g}",
-        "otherwise": "defaults",
+        "settings": "defaults",
     }
     description = common.describe("compare_solvers", settings)
     print(common.header(description), flush=True)
@@ -275,7 +257,7 @@ def main(argv: Sequence[str] | None = None) -> int:
             common.markdown_table(records, KEYS),
             "## Kept over rebuilt (medians; failures kept / rebuilt)\n",
             common.markdown_table(ratios, list(ratios[0])),
-            "## The same for the backends' calls alone: no tests, no polishing, 3 arms\n",
+            "## The same for the backends' calls alone: no tests, 3 arms\n",
             common.markdown_table(alone, list(alone[0])),
         ]
     )

@@ -18,7 +18,7 @@ from coopqp.errors import StartWarning
 from coopqp.model import Chain
 from coopqp.output import write_files
 from coopqp.scenarios import Scenario, at_singularity, fast_lift
-from coopqp.solvers import Outcome, QpProblem, QpSolver, Workspace, make_solver
+from coopqp.solvers import Outcome, QpProblem, QpSolver, Stacked, make_solver
 from coopqp.spatial import Array
 
 #: Description of each case.
@@ -103,7 +103,7 @@ class Recorder(QpSolver):
         self._solver = make_solver("daqp")
         self.settings = self._solver.settings
 
-    def _solve(self, problem: QpProblem, work: Workspace) -> Outcome:
+    def _solve(self, problem: QpProblem, rows: Stacked) -> Outcome:
         self.asked = problem
         found = self._solver.solve(problem)
         return Outcome(found.status, found.x, None, found.iterations, found.message)

@@ -4,13 +4,18 @@ from __future__ import annotations
 
 import abc
 import time
+from collections.abc import Mapping
 from dataclasses import dataclass, fields
+from typing import Any, ClassVar
 
 import numpy as np
 
 from coopqp.checks import keep_scalars
 from coopqp.errors import InvalidInputError, shown
-from coopqp.solvers.problem import INFINITE, Array, QpProblem, QpSolution, SolverStatus, blame
+from coopqp.solvers.problem import Array, QpProblem, QpSolution, SolverStatus, Stacked, blame
+
+_EXACT = "Leave it out: an answer is as exact as the solver makes it, by its own polishing and tolerances."
+_EACH = "Leave it out: each attempt has max_iter and max_iter_in."
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -22,7 +27,27 @@ class SolverSettings:
             gives the status ``FAILED``.
     """
 
+    #: Settings of version 0.2 that are no more, and what to do instead.
+    removed: ClassVar[Mapping[str, str]] = {
+        **dict.fromkeys(("accuracy", "polish"), _EXACT),
+        **dict.fromkeys(("max_iter_warm", "max_iter_in_warm"), _EACH),
+        "eps_infeasible": "Leave it out: for OSQP it is eps_prim_inf and eps_dual_inf, for ProxQP eps_primal_inf.",
+        "check_duality_gap": "Leave it out: the gap is checked.",
+        "update_preconditioner": "Leave it out: a problem is scaled once.",
+    }
+
     feasibility_tol: float = 1e-6
+
+    def __new__(cls, **given: Any) -> SolverSettings:
+        """Refuse settings that are no more, by name."""
+        for name in given.keys() & cls.removed.keys():
+            raise InvalidInputError(f"{name} is no longer an option", cls.__name__, cls.removed[name])
+        return super().__new__(cls)
+
+    @property
+    def own(self) -> dict[str, Any]:
+        """The settings that the backend gets, by its names."""
+        return {name: value for name, value in vars(self).items() if name != "feasibility_tol"}
 
     def __post_init__(self) -> None:
         """Check the numbers by the type of their defaults: tolerances are > 0, numbers of iterations 1 or more."""
@@ -37,104 +62,15 @@ class SolverSettings:
                     )
 
 
-class Workspace:
-    """Bounds and row values for problems of one size, stacked in the order [box (n); rows (p); equalities (m)].
-
-    Attributes:
-        sizes: the sizes (n, m, p).
-        lower, upper: all bounds (n + p + m,), clipped to ± the backend's infinity.
-        values: x, C x and A x (n + p + m,) of the last tested solution.
-        above, below: excess of the values over their upper bounds and below their lower bounds (n + p + m,).
-    """
-
-    __slots__ = (
-        "_ends",
-        "_judged",
-        "_ordered",
-        "_sections",
-        "_worst",
-        "above",
-        "below",
-        "lower",
-        "sizes",
-        "upper",
-        "values",
-    )
-
-    def __init__(self, sizes: tuple[int, int, int]) -> None:
-        n, m, p = sizes
-        self.sizes = sizes
-        self.lower, self.upper, self.values, self.above, self.below = (np.zeros(n + p + m) for _ in range(5))
-        self._sections = [(a[:n], a[n : n + p], a[n + p :]) for a in (self.lower, self.upper, self.values)]
-        self._ordered = np.zeros(n + p + m, dtype=bool)
-        self._ends: tuple[float, Array, Array] = (0.0, np.zeros(0), np.zeros(0))
-        self._judged: Array | None = None
-        self._worst = (0.0, 0)
-
-    def load(self, problem: QpProblem, infinity: float) -> bool:
-        """Copy the bounds. False if an entry is NaN, a matrix or vector is infinite, or bounds are crossed."""
-        n, m, p = self.sizes
-        self._judged = None
-        (lb, l, lower_b), (ub, u, upper_b), _ = self._sections
-        if infinity != self._ends[0]:
-            far = np.full(max(n, p), infinity)  # np.minimum is faster with an array than with a number
-            self._ends = infinity, far, -far
-        _, far, far_below = self._ends
-        np.minimum(problem.ub, far[:n], out=ub)
-        np.minimum(problem.u, far[:p], out=u)
-        np.maximum(problem.lb, far_below[:n], out=lb)
-        np.maximum(problem.l, far_below[:p], out=l)
-        if m:
-            lower_b[:] = upper_b[:] = problem.b
-        # NaN in either operand fails the comparison; so do lower bounds of +inf and upper bounds of -inf.
-        np.less_equal(self.lower, self.upper, out=self._ordered)
-        limit = INFINITE * INFINITE
-        return bool(
-            np.count_nonzero(self._ordered) == self._ordered.size
-            and np.vdot(problem.H, problem.H) < limit
-            and np.vdot(problem.g, problem.g) < limit
-            and np.vdot(problem.C, problem.C) < limit
-            and (m == 0 or (np.vdot(problem.A, problem.A) < limit and np.vdot(problem.b, problem.b) < limit))
-        )
-
-    def violation(self, problem: QpProblem, x: Array) -> tuple[float, int]:
-        """Largest excess of x, C x, A x over a bound (NaN if x is not finite), and the index of that entry.
-
-        Also updates ``values``, ``above`` and ``below``. The result for the same array x is cached until the next
-        problem is loaded.
-        """
-        if x is self._judged:
-            return self._worst
-        box, rows, equalities = self._sections[2]
-        box[:] = x
-        np.dot(problem.C, x, out=rows)
-        if equalities.size:
-            np.dot(problem.A, x, out=equalities)
-        np.subtract(self.values, self.upper, out=self.above)
-        np.subtract(self.lower, self.values, out=self.below)
-        excess = np.maximum(self.above, self.below)
-        worst = int(excess.argmax())  # argmax stops at the first NaN
-        self._judged, self._worst = x, (excess.item(worst), worst)
-        return self._worst
-
-    def name(self, index: int) -> str:
-        """Name of an entry of the stacked vectors, for messages."""
-        n, _, p = self.sizes
-        if index < n:
-            return f"bound of x[{index}]"
-        return f"row {index - n} of C" if index < n + p else f"equality {index - n - p}"
-
-
 @dataclass(slots=True)
 class Outcome:
-    """Result of a backend: x (n,) and multipliers in the order of :class:`Workspace`, in their own memory."""
+    """Result of a backend: x (n,) and multipliers in the order of :class:`Stacked`, in their own memory."""
 
     status: SolverStatus
     x: Array | None = None
     y: Array | None = None
     iterations: int = 0
     message: str = ""
-    violation: float = float("nan")
 
 
 class QpSolver(abc.ABC):
@@ -153,29 +89,32 @@ class QpSolver(abc.ABC):
     #: It takes QPs with a positive definite H only.
     strictly_convex_only: bool = False
 
-    #: Infinite bound of the backend.
-    _infinity: float = INFINITE
     #: Exceptions of the backend for bad data.
     _raises: tuple[type[Exception], ...] = (ValueError, RuntimeError, ArithmeticError)
-    _workspace: Workspace | None = None
+    _sizes: tuple[int, int, int] | None = None
 
     def solve(self, problem: QpProblem) -> QpSolution:
         """Solve one problem. Every failure is a status; the values of the data never raise an error."""
         began = time.perf_counter()
-        work = self._workspace
-        if work is None or work.sizes != problem.sizes:
+        if problem.sizes != self._sizes:
             self.reset()
-            work = self._workspace = Workspace(problem.sizes)
-        if work.load(problem, self._infinity):
-            outcome = self._attempt(problem, work)
+            self._sizes = problem.sizes
+        wrong, violation = blame(problem), float("nan")
+        if wrong:
+            outcome = Outcome(SolverStatus.INVALID, message=wrong)
         else:
-            outcome = Outcome(SolverStatus.INVALID, message=blame(problem))
+            rows = problem.stacked()
+            outcome = self._attempt(problem, rows)
+            if outcome.x is not None:
+                violation, wrong = rows.violation(outcome.x)
+                if not violation <= self.settings.feasibility_tol:
+                    outcome = Outcome(SolverStatus.FAILED, None, None, outcome.iterations, f"answer breaks {wrong}")
+            if outcome.status is not SolverStatus.SOLVED:
+                self._forget()  # the state of a failed solve is no warm start
+        n, _, p = problem.sizes
         x, y = outcome.x, outcome.y
-        n, _, p = work.sizes
-        if outcome.status is not SolverStatus.SOLVED or x is None:
-            x, y = np.full(n, np.nan), None
         return QpSolution(
-            x,
+            np.full(n, np.nan) if x is None else x,
             outcome.status,
             None if y is None else y[n + p :],
             None if y is None else y[n : n + p],
@@ -183,39 +122,31 @@ class QpSolver(abc.ABC):
             outcome.iterations,
             time.perf_counter() - began,
             outcome.message,
-            outcome.violation,
+            float("nan") if x is None else max(violation, 0.0),
         )
 
     def reset(self) -> None:
         """Forget the warm start and the set-up. The next solve is like the first."""
-        self._workspace = None
+        self._sizes = None
         self._forget()
 
-    def _attempt(self, problem: QpProblem, work: Workspace) -> Outcome:
+    def _attempt(self, problem: QpProblem, rows: Stacked) -> Outcome:
         try:
-            outcome = self._solve(problem, work)
+            outcome = self._solve(problem, rows)
         except self._raises as error:
             reason = str(error).partition("\n")[0][:200]
-            outcome = Outcome(SolverStatus.FAILED, message=f"{self.name} raised {type(error).__name__}: {reason}")
-        if outcome.status is SolverStatus.SOLVED:
-            if outcome.x is None or outcome.x.shape != (work.sizes[0],):
-                outcome = Outcome(SolverStatus.FAILED, message=f"{self.name} returned no answer")
-            else:
-                excess, worst = work.violation(problem, outcome.x)
-                if not excess <= self.settings.feasibility_tol:
-                    message = f"answer breaks {work.name(worst)} by {excess:.3g}"
-                    outcome = Outcome(SolverStatus.FAILED, iterations=outcome.iterations, message=message)
-                else:
-                    outcome.violation = max(excess, 0.0)
-                if outcome.y is not None and not np.vdot(outcome.y, outcome.y) < np.inf:
-                    outcome.y, outcome.message = None, "multipliers are not finite"
+            return Outcome(SolverStatus.FAILED, message=f"{self.name} raised {type(error).__name__}: {reason}")
         if outcome.status is not SolverStatus.SOLVED:
-            # The state of a failed solve is no warm start.
-            self._forget()
+            return Outcome(outcome.status, iterations=outcome.iterations, message=outcome.message)
+        if outcome.x is None or outcome.x.shape != problem.g.shape or not np.isfinite(outcome.x).all():
+            return Outcome(SolverStatus.FAILED, message=f"{self.name} returned no finite answer")
+        outcome.message = ""
+        if outcome.y is not None and not np.vdot(outcome.y, outcome.y) < np.inf:
+            outcome.y, outcome.message = None, "multipliers are not finite"
         return outcome
 
     @abc.abstractmethod
-    def _solve(self, problem: QpProblem, work: Workspace) -> Outcome:
+    def _solve(self, problem: QpProblem, rows: Stacked) -> Outcome:
         """Solve checked data. May raise the exceptions in :attr:`_raises`."""
 
     @abc.abstractmethod

@@ -8,10 +8,10 @@ from typing import Any
 
 from coopqp.errors import InvalidInputError, MissingExtraError, MissingSolverError, UnknownNameError, shown
 from coopqp.solvers.base import QpSolver
+from coopqp.solvers.generic import ROUTE, GenericSolver
 
 #: Kept solvers: the name, which is also its module's here, and the module that it needs.
-_KEPT = {"proxqp": "proxsuite", "osqp": "osqp", "daqp": "daqp", "ldp": "coopqp.core"}
-_GENERIC = "qpsolvers:"
+_KEPT = {"proxqp": "proxsuite", "osqp": "osqp", "ldp": "coopqp.core"}
 
 
 def available_solvers() -> tuple[str, ...]:
@@ -40,7 +40,7 @@ def make_solver(name: str | QpSolver, settings: Any = None) -> QpSolver:
         name: one of :func:`available_solvers`, ``qpsolvers:<backend>`` for a backend built anew at every solve, or
             ``"auto"`` for :func:`default_solver`. A solver is returned as it is.
         settings: ``LdpSettings``, ``ProxqpSettings``, ``OsqpSettings``, ``DaqpSettings``, or ``GenericSettings`` for
-            the others, from the solver's module; None for the defaults.
+            the others; None for the defaults.
 
     Raises:
         UnknownNameError: no such solver.
@@ -61,7 +61,7 @@ def make_solver(name: str | QpSolver, settings: Any = None) -> QpSolver:
         name = default_solver()
     if name in _KEPT:
         return _make_kept(name, settings)
-    backend = name.removeprefix(_GENERIC)
+    backend = name.removeprefix(ROUTE)
     if backend not in _backends():
         if backend in _OF_OUR_EXTRA:
             raise MissingExtraError("solvers", backend)
@@ -71,9 +71,7 @@ def make_solver(name: str | QpSolver, settings: Any = None) -> QpSolver:
         if extra in (metadata("qpsolvers").get_all("Provides-Extra") or ()):
             raise MissingSolverError(name, f"pip install 'qpsolvers[{extra}]'")
         raise UnknownNameError("QP solver", name, available_solvers())
-    from coopqp.solvers.generic import GenericSolver
-
-    return GenericSolver(backend, settings)
+    return GenericSolver(name, settings)
 
 
 def _make_kept(name: str, settings: Any) -> QpSolver:

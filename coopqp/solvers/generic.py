@@ -1,10 +1,10 @@
-"""Any backend of qpsolvers, by its name. It is rebuilt for every solve; use it for comparisons."""
+"""Any backend of qpsolvers, by its name. It is built anew for every solve."""
 
 from __future__ import annotations
 
 import warnings
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from types import MappingProxyType
 from typing import Any
 
@@ -12,14 +12,13 @@ import numpy as np
 
 from coopqp.checks import as_options
 from coopqp.errors import InvalidInputError
-from coopqp.solvers.base import Outcome, QpSolver, SolverSettings, Workspace
-from coopqp.solvers.polish import finish
-from coopqp.solvers.problem import INFINITE, Array, QpProblem, SolverStatus
+from coopqp.solvers.base import Outcome, QpSolver, SolverSettings
+from coopqp.solvers.problem import INFINITE, QpProblem, SolverStatus, Stacked
 
-# Default options for backends with defaults that are too inaccurate for commands. Through qpsolvers, ProxQP's cap on
-# inner iterations and its accuracy of an infeasibility certificate cannot be set.
+#: Prefix of the name of a backend that could be kept, too.
+ROUTE = "qpsolvers:"
+#: Options of kept backends that are built anew: their defaults are too inaccurate for commands.
 _TIGHT: Mapping[str, Mapping[str, Any]] = {
-    "daqp": {"primal_tol": 1e-10, "iter_limit": 1000},
     "osqp": {"eps_abs": 1e-7, "eps_rel": 1e-7, "max_iter": 4000, "adaptive_rho_interval": 50},
     "proxqp": {
         "eps_abs": 1e-9,
@@ -29,6 +28,14 @@ _TIGHT: Mapping[str, Mapping[str, Any]] = {
         "eps_duality_gap_abs": 1e-9,
     },
 }
+#: What a reason of a backend has, in this order, and its status.
+_SAYS = {
+    "dual infeasible": SolverStatus.FAILED,
+    "inaccurate": SolverStatus.MAX_ITERATIONS,
+    "infeasible": SolverStatus.INFEASIBLE,
+    "max": SolverStatus.MAX_ITERATIONS,
+    "limit": SolverStatus.MAX_ITERATIONS,
+}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -36,106 +43,87 @@ class GenericSettings(SolverSettings):
     """Settings of a backend of qpsolvers.
 
     Attributes:
-        accuracy: largest optimality error (:func:`~coopqp.solvers.polish.measure`) without a message.
-        polish: solve the equations of the active set if the solution is not exact up to rounding.
-        options: keyword arguments for the backend; they replace the defaults of this module or of the backend.
+        options: keyword arguments for the backend, beside the defaults of this module or of the backend.
     """
 
-    accuracy: float = 1e-8
-    polish: bool = True
-    options: Mapping[str, Any] | None = None
+    options: Mapping[str, Any] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         SolverSettings.__post_init__(self)
-        if self.options is None:
-            return
         if not isinstance(self.options, Mapping) or not all(isinstance(k, str) for k in self.options):
             raise InvalidInputError(f"options = {self.options!r}", "GenericSettings", "Give a mapping of keywords.")
         object.__setattr__(self, "options", MappingProxyType(dict(self.options)))
 
 
-class GenericSolver(QpSolver):
-    """``qpsolvers.solve_problem`` with one backend. Every solve builds a new solver of the backend.
+@dataclass(frozen=True, kw_only=True)
+class DaqpSettings(SolverSettings):
+    """Settings of DAQP, by its own names; all others keep DAQP's defaults.
 
-    Rows and bounds become one-sided inequalities, without infinite ones. Rows with equal bounds become equalities.
-    Backends without support for dense matrices get ``scipy.sparse.csc_matrix``.
+    Attributes:
+        primal_tol: violation of a constraint that counts as zero, in the constraint's units. It also decides whether a
+            constraint becomes active, so it bounds the error of x. DAQP's default is 1e-6.
+        dual_tol: multiplier of the wrong sign that counts as zero.
+        eta_prox: accuracy of DAQP's proximal iterations for a singular H.
+        iter_limit: largest number of changes of the active set.
     """
 
-    def __init__(self, backend: str, settings: GenericSettings | None = None) -> None:
+    primal_tol: float = 1e-10
+    dual_tol: float = 1e-12
+    eta_prox: float = 1e-12
+    iter_limit: int = 1000
+
+
+class GenericSolver(QpSolver):
+    """``qpsolvers.solve_problem`` with one backend.
+
+    Rows become one-sided inequalities, without infinite ones; bounds of unknowns, too: they have multipliers in every
+    backend. Rows with equal bounds become equalities.
+    """
+
+    def __init__(self, name: str, settings: SolverSettings | None = None) -> None:
         import qpsolvers
         from qpsolvers.exceptions import QPError
 
-        self.name = f"qpsolvers:{backend}"
-        self.settings: GenericSettings = as_options(GenericSettings, settings, f"solver '{self.name}': settings")
-        self._backend = backend
-        self._module = qpsolvers
+        self.name, backend = name, name.removeprefix(ROUTE)
+        kind: type[SolverSettings] = DaqpSettings if backend == "daqp" else GenericSettings
+        self.settings = as_options(kind, settings, f"solver '{self.name}': settings")
+        self._backend, self._module = backend, qpsolvers
         # TypeError: an option unknown to the backend. AssertionError: osqp's checks of its input.
         self._raises = (*QpSolver._raises, QPError, TypeError, AssertionError)
-        if backend == "osqp":
-            from osqp import OSQPException
-
-            self._raises = (*self._raises, OSQPException)
-        options = self.settings.options
-        self._options = dict(_TIGHT.get(backend, {}) if options is None else options)
+        own = self.settings.own
+        self._options = {**_TIGHT.get(backend, {}), **own.pop("options", {}), **own}
 
     def _forget(self) -> None:
         pass
 
-    def _solve(self, problem: QpProblem, work: Workspace) -> Outcome:
-        n, m, p = work.sizes
-        lower, upper = work.lower[: n + p], work.upper[: n + p]
-        rows = np.vstack([np.eye(n), problem.C])
-        equal = lower == upper
-        above, below = ~equal & (upper < INFINITE), ~equal & (lower > -INFINITE)
-        G, h = np.vstack([rows[above], -rows[below]]), np.concatenate([upper[above], -lower[below]])
-        A, b = np.vstack([problem.A, rows[equal]]), np.concatenate([problem.b, upper[equal]])
-        stated = self._module.Problem(
-            self._matrix(problem.H),
-            problem.g.copy(),
-            self._matrix(G) if h.size else None,
-            h if h.size else None,
-            self._matrix(A) if b.size else None,
-            b if b.size else None,
-        )
+    def _solve(self, problem: QpProblem, rows: Stacked) -> Outcome:
+        G, low, high, _ = rows
+        equal = low == high
+        above, below = ~equal & (high < INFINITE), ~equal & (low > -INFINITE)
+        C, d = np.vstack([G[above], -G[below]]), np.concatenate([high[above], -low[below]])
+        data = [problem.H.copy(), problem.g.copy(), C, d, G[equal], high[equal]]
+        if self._backend not in self._module.dense_solvers:
+            from scipy import sparse
+
+            data[::2] = map(sparse.csc_matrix, data[::2])
+        stated = self._module.Problem(*(None if not part.size else part for part in data))
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # some backends report their status as a warning; the message replaces it
-            solution = self._module.solve_problem(stated, self._backend, **self._options)
-        info = solution.extras.get("info") if isinstance(solution.extras, dict) else None
-        iterations = getattr(info, "iter", 0)
-        iterations = int(iterations) if isinstance(iterations, (int, np.integer)) else 0
-        if not solution.found or solution.x is None:
-            reason = str(getattr(info, "status", "")) or "no solution found"
-            return Outcome(self._status(reason), iterations=iterations, message=f"{self._backend}: {reason}")
-        y: Array | None = None
-        z, y_equal = solution.z, solution.y
-        if (z is not None or not h.size) and (y_equal is not None or not b.size):
-            y = np.zeros(n + p + m)
-            k = int(above.sum())
-            if z is not None and h.size:
-                y[: n + p][above] += z[:k]
-                y[: n + p][below] -= z[k:]
-            if y_equal is not None and b.size:
-                y[n + p :] = y_equal[:m]
-                y[: n + p][equal] = y_equal[m:]
-        outcome = Outcome(SolverStatus.SOLVED, np.array(solution.x, dtype=np.float64), y, iterations)
-        finish(problem, work, outcome, self.settings.accuracy, polished=self.settings.polish)
-        return outcome
-
-    def _matrix(self, dense: Array) -> Any:
-        """A copy of the matrix (backends may overwrite their input), sparse if the backend needs it."""
-        if self._backend in self._module.dense_solvers:
-            return np.array(dense, order="C")
-        from scipy import sparse
-
-        return sparse.csc_matrix(dense)
-
-    def _status(self, reason: str) -> SolverStatus:
-        text = reason.lower().replace("_", " ")
-        # qpsolvers returns no status of quadprog. Infeasibility is quadprog's only failure.
-        if self._backend == "quadprog":
-            return SolverStatus.INFEASIBLE
-        if "dual" not in text and "inaccurate" not in text and "infeasible" in text:
-            return SolverStatus.INFEASIBLE
-        if "max" in text or "limit" in text or "inaccurate" in text:
-            return SolverStatus.MAX_ITERATIONS
-        return SolverStatus.FAILED
+            found = self._module.solve_problem(stated, self._backend, **self._options)
+        info = found.extras.get("info") if isinstance(found.extras, dict) else None
+        iterations = int(getattr(info, "iter", 0))
+        if not found.found or found.x is None:
+            # qpsolvers returns no status of quadprog, whose only failure is that there is no answer.
+            reason = str(getattr(info, "status", "infeasible" if self._backend == "quadprog" else "no solution found"))
+            text = reason.lower().replace("_", " ")
+            status = next((status for word, status in _SAYS.items() if word in text), SolverStatus.FAILED)
+            return Outcome(status, iterations=iterations, message=f"{self._backend}: {reason}")
+        y = np.zeros(low.size)
+        for chosen, sign, multipliers in (
+            (above, 1.0, None if found.z is None else found.z[: above.sum()]),
+            (below, -1.0, None if found.z is None else found.z[above.sum() :]),
+            (equal, 1.0, found.y),
+        ):
+            if chosen.any():
+                y[chosen] += sign * (np.nan if multipliers is None else multipliers)
+        return Outcome(SolverStatus.SOLVED, np.array(found.x, dtype=np.float64), y, iterations)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import enum
 from dataclasses import dataclass
-from typing import TypeAlias
+from typing import NamedTuple, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,6 +28,29 @@ class SolverStatus(enum.Enum):
     MAX_ITERATIONS = "iteration cap reached"  #: also for a time limit or insufficient accuracy
     INVALID = "invalid data"  #: NaN or infinite entries, or crossed bounds; the solver was not called
     FAILED = "failed"  #: any other failure; also a solution that is not finite or violates a constraint
+
+
+class Stacked(NamedTuple):
+    """The constraints low ≤ G x ≤ high of a problem, in the order [bounds of x (n); rows (p); equalities (m)].
+
+    Attributes:
+        G: rows (n + p + m, n).
+        low, high: their bounds (n + p + m,), at most ±:data:`INFINITE`.
+        p: number of rows of C.
+    """
+
+    G: Array
+    low: Array
+    high: Array
+    p: int
+
+    def violation(self, x: Array) -> tuple[float, str]:
+        """Largest excess of G x over a bound (NaN if x is not finite), and its row and size in words."""
+        value, n, p = self.G @ x, x.size, self.p
+        excess = np.maximum(value - self.high, self.low - value)
+        worst = int(excess.argmax())  # argmax stops at the first NaN
+        name = f"row {worst - n} of C" if worst < n + p else f"equality {worst - n - p}"
+        return excess.item(worst), f"{name if worst >= n else f'bound of x[{worst}]'} by {excess[worst]:.3g}"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -75,6 +98,15 @@ class QpProblem:
     def sizes(self) -> tuple[int, int, int]:
         """Numbers (n, m, p) of unknowns, equality rows and inequality rows."""
         return self.g.size, self.b.size, self.l.size
+
+    def stacked(self) -> Stacked:
+        """All constraints as one set of rows."""
+        return Stacked(
+            np.vstack([np.eye(self.g.size), self.C, self.A]),
+            np.maximum(np.concatenate([self.lb, self.l, self.b]), -INFINITE),
+            np.minimum(np.concatenate([self.ub, self.u, self.b]), INFINITE),
+            self.l.size,
+        )
 
     def check(self) -> None:
         """Check that the problem is convex. Solvers do not check this.
@@ -127,21 +159,14 @@ class QpSolution:
 
     def primal_residual(self, problem: QpProblem) -> float:
         """Largest violation of a constraint of ``problem`` by x; 0 if all hold, NaN unless usable."""
-        Cx = problem.C @ self.x
-        return _largest(
-            np.abs(problem.A @ self.x - problem.b),
-            Cx - problem.u,
-            problem.l - Cx,
-            self.x - problem.ub,
-            problem.lb - self.x,
-        )
+        return max(problem.stacked().violation(self.x)[0], 0.0)
 
     def dual_residual(self, problem: QpProblem) -> float:
         """Largest entry of |H x + g + Aᵀ y_eq + Cᵀ y_rows + y_box|; NaN without multipliers."""
         if self.y_eq is None or self.y_rows is None or self.y_box is None:
             return float("nan")
         gradient = problem.H @ self.x + problem.g
-        return _largest(np.abs(gradient + problem.A.T @ self.y_eq + problem.C.T @ self.y_rows + self.y_box))
+        return float(np.abs(gradient + problem.A.T @ self.y_eq + problem.C.T @ self.y_rows + self.y_box).max())
 
     def complementarity(self, problem: QpProblem) -> float:
         """Largest min(|y|, distance to the active bound of y); NaN without multipliers.
@@ -150,33 +175,23 @@ class QpSolution:
         """
         if self.y_rows is None or self.y_box is None:
             return float("nan")
-        Cx = problem.C @ self.x
-        y = np.concatenate([self.y_box, self.y_rows])
-        above = np.concatenate([problem.ub - self.x, problem.u - Cx])
-        below = np.concatenate([self.x - problem.lb, Cx - problem.l])
-        return _largest(np.minimum(np.abs(y), np.abs(np.where(y > 0.0, above, below))))
-
-
-def _largest(*parts: Array) -> float:
-    """Largest entry of all arrays, at least 0; NaN if any entry is NaN."""
-    return float(np.max([0.0, *(part.max() for part in parts if part.size)]))
+        y, rows = np.concatenate([self.y_box, self.y_rows]), problem.stacked()
+        value, low, high = (each[: y.size] for each in (rows.G @ self.x, rows.low, rows.high))
+        room = np.where(y > 0.0, high - value, value - low)
+        return float(np.minimum(np.abs(y), np.abs(room)).max())
 
 
 def blame(problem: QpProblem) -> str:
-    """Name the invalid array. This runs only for invalid data, so it need not be fast."""
+    """What is wrong with the data of a problem, in words; empty if nothing is."""
     for name in ("H", "g", "A", "b", "C"):
         array = getattr(problem, name)
-        if not np.isfinite(array).all():
-            return f"{name} has entries that are not finite"
-        if not np.linalg.norm(array) < INFINITE:
-            return f"{name} has entries of the order of {INFINITE:g}"
+        if not np.vdot(array, array) < INFINITE * INFINITE:
+            return f"{name} has entries that are not finite, or of the order of {INFINITE:g}"
     for low, high in (("l", "u"), ("lb", "ub")):
         lower, upper = getattr(problem, low), getattr(problem, high)
-        for name, array, wrong in ((low, lower, np.inf), (high, upper, -np.inf)):
-            if np.isnan(array).any() or (array == wrong).any():
-                return f"{name} has entries that are NaN or infinite on the wrong side"
-        crossed = np.flatnonzero(lower > upper)
-        if crossed.size:
-            i = int(crossed[0])
-            return f"{low}[{i}] = {lower[i]:g} is above {high}[{i}] = {upper[i]:g}"
-    return f"a bound beyond {INFINITE:g} excludes every x"
+        # False for NaN, lower bounds of +inf and upper bounds of -inf.
+        fits = np.maximum(lower, -INFINITE) <= np.minimum(upper, INFINITE)
+        if not fits.all():
+            i = int(fits.argmin())
+            return f"{low}[{i}] = {lower[i]:g} and {high}[{i}] = {upper[i]:g} are no bounds, or the lower is above"
+    return ""

@@ -34,11 +34,6 @@ from coopqp.solvers import LdpSettings
 
 options = QPOptions(solver="ldp", solver_settings=LdpSettings(feasibility_tol=1e-7))
 
-# %% coopqp.solvers.DaqpSettings
-from coopqp.solvers import DaqpSettings
-
-options = QPOptions(solver="daqp", solver_settings=DaqpSettings(iter_limit=500))
-
 # %% coopqp.solvers.ProxqpSettings
 from coopqp.solvers import ProxqpSettings
 
@@ -47,4 +42,10 @@ options = QPOptions(solver="proxqp", solver_settings=ProxqpSettings(eps_abs=1e-8
 # %% coopqp.solvers.GenericSettings
 from coopqp.solvers import GenericSettings
 
-general = make_solver("quadprog", GenericSettings(accuracy=1e-7))  # any backend of qpsolvers
+settings = GenericSettings(options={"max_iter": 200})  # keyword arguments of the backend
+general = make_solver("qpsolvers:osqp", settings)  # any backend of qpsolvers
+
+# %% coopqp.solvers.DaqpSettings
+from coopqp.solvers import DaqpSettings
+
+options = QPOptions(solver="daqp", solver_settings=DaqpSettings(iter_limit=500))

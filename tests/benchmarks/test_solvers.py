@@ -84,7 +84,8 @@ def test_compare_solvers(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys
     assert {r["mode"] for r in records} == {"kept", "rebuilt"}
     for r in records:
         assert r["failures"] == 0, r
-        assert r["error_rad_s"] < (1e-9 if r["polish"] else 1e-2), r
+        rough = r["mode"] == "rebuilt" and r["solver"] in ("proxqp", "osqp")
+        assert r["error_rad_s"] < (1e-2 if rough else 1e-7 if r["solver"] == "proxqp" else 1e-9), r
         assert r["max_us"] >= r["p50_us"] > 0.0
     assert (out / "solvers.md").is_file()
     assert len(list((exported / "problems").glob("*.npz"))) == 3
@@ -94,7 +95,7 @@ def test_failures_without_an_answer_are_counted() -> None:
     recorded = recorded_qps.record("saturated", 3, 1)
     broken = recorded.qps[0]
     broken.problem.u[:] = np.nan
-    way = compare_solvers.Way(solver="daqp", mode="kept", start="warm", polish=True)
+    way = compare_solvers.Way(solver="ldp", mode="kept", start="warm")
     run = compare_solvers.Run(way, recorded.qps, [None], 0.0)
     assert len(list(run.round())) == 1
     assert (run.solves, run.failures) == (1, 1)

@@ -327,7 +327,7 @@ def test_a_step_that_waits_for_its_solver_is_not_disturbed(paper: Scenario) -> N
             return super().solve(problem)
 
     def run(disturbed: bool) -> tuple[list[Any], list[type]]:
-        solver, errors = Meets(), []
+        solver, errors = Meets("daqp"), []
         options = {"solver": solver, "shortcut": False}
         made = QPController(paper.cell, paper.grasp, paper.path, dt=0.0075, options=options)
         made.reset(paper.q_start)

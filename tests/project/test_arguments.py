@@ -37,7 +37,7 @@ from coopqp.control import RankWeights
 from coopqp.scenarios import Scenario, paper_lift, robot_arm, robot_path
 from coopqp.simulation import DisturbedPlant, KinematicPlant, Monitor, PhysicsPlant, describe_object, evaluate, read_run
 from coopqp.simulation.evaluation.monitor import COMMANDED
-from coopqp.solvers import DaqpSettings, ProxqpSettings, make_solver
+from coopqp.solvers import OsqpSettings, ProxqpSettings, make_solver
 from coopqp.spatial import adjoint
 from coopqp.visualization import export_html, write_report
 
@@ -145,8 +145,8 @@ REFUSED: dict[str, tuple[Callable[[], Any], str]] = {
     "a common error by name": (lambda: QPOptions(common_error="leaderless"), "common_error is a str"),  # type: ignore[arg-type]
     "a number as solver": (lambda: controller(options={"solver": 3}), "Give a solver's name or a QpSolver"),
     "settings of another solver": (
-        lambda: controller(options={"solver": "proxqp", "solver_settings": DaqpSettings()}),
-        r"a DaqpSettings. Give ProxqpSettings\(…\)",
+        lambda: controller(options={"solver": "proxqp", "solver_settings": OsqpSettings()}),
+        r"a OsqpSettings. Give ProxqpSettings\(…\)",
     ),
     "an unknown setting": (lambda: make_solver("proxqp", {"eps": 1}), "no option named 'eps'"),
     "a text as dt": (lambda: controller(dt="soon"), "QPController: dt: not a number"),

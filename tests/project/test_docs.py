@@ -161,7 +161,7 @@ def test_defaults_in_the_text_are_those_of_the_code() -> None:
     reliability."""
     from coopqp.solvers import OsqpSettings
 
-    assert (RECOVERY_SHARE, OsqpSettings().max_iter) == (0.2, 4000)
+    assert (RECOVERY_SHARE, OsqpSettings().max_iter) == (0.2, 20000)
     o = coopqp.QPOptions()
     s, w, p = o.supervision, o.weights, coopqp.PreviewOptions()
     assert (o.grasp_gain, o.path_gain, o.correction_speed, o.correction_spin) == (20.0, 20.0, 0.1, 0.4)

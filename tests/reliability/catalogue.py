@@ -33,7 +33,7 @@ REASONS: tuple[tuple[str, str, str], ...] = (
     ("B", "measurements", _ROUNDING + ": delays change nothing where the encoders are true"),
     ("B", "periods", _ROUNDING + ": so do periods"),
     ("C", "files that mean no good: memory", "the limit of the process that reads them; none comes near"),
-    ("D", "", _ROUNDING + ". It is the answer after coopqp's polish that is judged, as the arms get it"),
+    ("D", "", _ROUNDING),
     ("E", "", _ROUNDING),
     ("G", "soak: reported", _ROUNDING),
     ("I1", "", "3 % of new cells may fail, none did"),

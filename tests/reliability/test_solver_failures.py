@@ -14,7 +14,7 @@ from runs import cooperative, limited
 
 from coopqp import ObjectPath, ServoPath, Status
 from coopqp.scenarios import Scenario, dual_arm7, fast_lift, five_joint_pair, mixed_cell, paper_lift, scara_pair
-from coopqp.solvers import DaqpSettings, OsqpSettings, ProxqpSettings, SolverStatus, make_solver
+from coopqp.solvers import OsqpSettings, ProxqpSettings, SolverStatus, make_solver
 
 
 def moving_target() -> tuple[Scenario, Any]:
@@ -171,9 +171,8 @@ def test_only_the_first_qp_fails() -> None:
 @pytest.mark.parametrize(
     ("solver", "settings"),
     [
-        ("daqp", DaqpSettings(iter_limit=1)),
-        ("proxqp", ProxqpSettings(max_iter=1, max_iter_in=1, max_iter_warm=1, max_iter_in_warm=1)),
-        ("osqp", OsqpSettings(max_iter=1, polish=False)),
+        ("proxqp", ProxqpSettings(max_iter=1, max_iter_in=1)),
+        ("osqp", OsqpSettings(max_iter=1)),
     ],
 )
 def test_the_real_iteration_limit(solver: str, settings: Any) -> None:

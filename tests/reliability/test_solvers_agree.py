@@ -16,7 +16,6 @@ from coopqp.scenarios import fast_lift
 from coopqp.solvers import QpProblem, QpSolution, SolverStatus, available_solvers, make_solver
 
 #: How far joint velocities may be apart [rad/s], and answers from optimal.
-#: Of answers as the arms get them, after the polish; at the border of feasibility some come without one.
 TARGET = {"ldp": 1e-8, "daqp": 1e-8, "quadprog": 1e-8, "proxqp": 1e-6, "osqp": 1e-3}
 SOLVERS = [name for name in TARGET if name in available_solvers()]
 REFERENCE = "quadprog" if "quadprog" in SOLVERS else "daqp"

@@ -513,9 +513,9 @@ def controller_options(kind: str, table: Any) -> Any:
 def _solver_settings(solver: str, given: Mapping[str, Any]) -> Any:
     """The settings object of a QP solver."""
     name = _SOLVER_SETTINGS.get(solver, "GenericSettings")
-    settings = getattr(importlib.import_module(f"coopqp.solvers.{name.removesuffix('Settings').lower()}"), name)
+    settings = getattr(importlib.import_module("coopqp.solvers"), name)
     for key in given:
-        if key not in settings.__dataclass_fields__ or key == "options":
+        if key not in {*settings.__dataclass_fields__, *settings.removed} or key == "options":
             raise UnknownNameError("setting", key, (k for k in settings.__dataclass_fields__ if k != "options"), name)
     return settings(**given)
 
