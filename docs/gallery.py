@@ -261,10 +261,12 @@ def _arrow_head(draw: ImageDraw.ImageDraw, way: Array, *, size: float = 11.0 * L
 
 
 def verdict(e: Entry) -> str:
-    """What `coopqp check` says of an entry: the verdict, and its first sentence, or what is in the way."""
+    """What `coopqp check` says of an entry: the verdict, and what is in the way."""
     with contextlib.redirect_stdout(io.StringIO()) as said, contextlib.redirect_stderr(io.StringIO()):
         coopqp_command(["check", e.source])
     word, first, *more = said.getvalue().splitlines()
+    if word == "CERTIFIED":
+        return "**certified**, distances too" if "keep their distances" in first else "**certified**"
     if word == "INFEASIBLE":
         first = "`" + next(line for line in more if "follows the path" not in line) + "`"
     return f"**{word.lower()}**: {first}"
@@ -285,7 +287,7 @@ def _card(e: Entry, said: str) -> Iterable[str]:
     text = f"[TOML]({file})" if e.name in CELLS else f"`coopqp view {e.name}`"
     yield f"### {e.title}"
     yield ""
-    yield f"![{e.robots}: {e.sentence}](images/gallery_{e.name}.webp)"
+    yield f"![{e.title}](images/gallery_{e.name}.webp)"
     yield ""
     yield e.sentence
     yield ""

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+import numpy.typing as npt
 
 from coopqp.model.cell import RobotCell
+from coopqp.model.chain import moving_columns
 from coopqp.simulation.recording.recording import Recording
 from coopqp.spatial import Array
 from coopqp.visualization.style import (
@@ -27,6 +30,8 @@ from coopqp.visualization.style import (
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
+#: Velocity coordinates of an arm's joints.
+Columns = npt.NDArray[np.intp]
 #: Largest number of arms in a figure: those that come closest to a limit.
 MOST_ARMS = 12
 _SIZE = 9.5  # type of the legends [pt]
@@ -34,7 +39,7 @@ _POSITION, _SPEED, _TITLE, _EDGE = 1.9, 1.6, 0.55, 1.3  # heights, and the width
 
 
 def joint_figure(cell: RobotCell, recording: Recording) -> Figure:
-    """Joint positions (0 mid-range, ±1 the limits) and speeds (share of the limit), with panels and a legend per arm.
+    """Positions [% of the range] and speeds [% of the limit] of the joints that move each arm's tool, with a legend.
 
     A cell of more than twelve arms shows those whose joints come closest to a limit.
     """
@@ -43,16 +48,17 @@ def joint_figure(cell: RobotCell, recording: Recording) -> Figure:
     def positions(part: slice) -> Array:
         q = cell.positions(recording.q_command[part])
         with np.errstate(invalid="ignore"):
-            share: Array = (2.0 * q - limits.upper - limits.lower) / (limits.upper - limits.lower)
+            share: Array = 100.0 * (q - limits.lower) / (limits.upper - limits.lower)
         return share  # NaN without limit
 
     times, position = drawn_rows(recording, len(recording.time), positions)
     scale = np.where(np.isfinite(limits.velocity), limits.velocity, np.nan)  # NaN without limit, too
     starts, speed = drawn_rows(recording, recording.n_steps, lambda part: 100.0 * recording.velocity[part] / scale)
     starts, speed = np.append(starts, recording.time[-1]), np.concatenate([speed, speed[-1:]])
-    shown = _tightest(cell, position, speed)
+    columns_of = moving_columns(cell)
+    shown = _tightest(columns_of, position, speed)
     columns, blocks, width = arm_grid(len(shown), most=2 if len(shown) == 4 else 3)
-    names = {k: _names(cell, k) for k in shown}
+    names = {k: _names(cell, columns_of[k]) for k in shown}
     fits = {k: legend_columns(names[k], (width - _EDGE) / columns, size=_SIZE) for k in shown}
     legend = max(legend_height(names[k], fits[k], size=_SIZE) for k in shown)
     some = len(shown) < len(cell)
@@ -63,10 +69,10 @@ def joint_figure(cell: RobotCell, recording: Recording) -> Figure:
     grid = figure.subplots(
         3 * blocks, columns, squeeze=False, gridspec_kw={"height_ratios": [_POSITION, _SPEED, legend] * blocks}
     )
-    drawn = np.nan_to_num(np.abs(speed[:, _coordinates(cell, shown)]))
+    drawn = np.nan_to_num(np.abs(speed[:, np.concatenate([columns_of[k] for k in shown])]))
     reach = 1.15 * max(5.0, float(drawn.max(initial=0.0)))
     for place, (k, (top, bottom, below)) in enumerate(zip(shown, arm_panels(grid, len(shown)), strict=True)):
-        joints = cell.columns[k]
+        joints = columns_of[k]
         lines = _draw(top, bottom, (times, position[:, joints]), (starts, speed[:, joints]))
         top.set_title(label(cell.arm_names[k], width=72 // (columns + 1)), fontsize=12, color=INK, fontweight="bold")
         _axes(top, bottom, end=float(recording.time[-1]), reach=reach, first=place % columns == 0)
@@ -75,23 +81,20 @@ def joint_figure(cell: RobotCell, recording: Recording) -> Figure:
     return figure
 
 
-def _tightest(cell: RobotCell, position: Array, speed: Array) -> list[int]:
+def _tightest(columns: Sequence[Columns], position: Array, speed: Array) -> list[int]:
     """The arms that are shown, in their order."""
-    if len(cell) <= MOST_ARMS:
-        return list(range(len(cell)))
-    used = np.fmax(np.abs(position).max(axis=0), 0.01 * np.nan_to_num(np.abs(speed)).max(axis=0, initial=0.0))
-    closest = [float(np.nanmax(used[s], initial=0.0)) for s in cell.columns]
-    return sorted(sorted(range(len(cell)), key=lambda k: -closest[k])[:MOST_ARMS])
+    if len(columns) <= MOST_ARMS:
+        return list(range(len(columns)))
+    off = np.abs(position - 50.0).max(axis=0)
+    used = np.fmax(2.0 * off, np.nan_to_num(np.abs(speed)).max(axis=0, initial=0.0))
+    closest = [float(np.nanmax(used[s], initial=0.0)) for s in columns]
+    return sorted(sorted(range(len(columns)), key=lambda k: -closest[k])[:MOST_ARMS])
 
 
-def _coordinates(cell: RobotCell, arms: list[int]) -> list[int]:
-    return [j for k in arms for j in cell.columns[k].tolist()]
-
-
-def _names(cell: RobotCell, arm: int) -> list[str]:
-    """The names of an arm's joints; those without limits are marked."""
+def _names(cell: RobotCell, columns: Columns) -> list[str]:
+    """The names of joints; those without limits are marked."""
     limits, names = cell.limits, []
-    for j in cell.columns[arm].tolist():
+    for j in columns.tolist():
         bounded = np.isfinite(limits.lower[j]) and np.isfinite(limits.upper[j])
         lacks = [] if bounded else ["no limit"]
         lacks += [] if np.isfinite(limits.velocity[j]) else ["no speed limit"]
@@ -112,20 +115,20 @@ def _draw(top: Any, bottom: Any, positions: tuple[Array, Array], speeds: tuple[A
 
 
 def _axes(top: Any, bottom: Any, *, end: float, reach: float, first: bool) -> None:
-    for panel, edge in ((top, 1.0), (bottom, 100.0)):
-        for side in (-edge, edge):
+    for panel, low, middle in ((top, 0.0, 50.0), (bottom, -100.0, 0.0)):
+        for side in (low, 100.0):
             panel.axhline(side, color=RED, lw=1.4)
-        panel.axhline(0.0, color="#d6dae0", lw=0.8, zorder=0)
+        panel.axhline(middle, color="#d6dae0", lw=0.8, zorder=0)
         panel.set_xlim(0.0, max(end, 1e-9))
         panel.locator_params(axis="x", nbins=4)
         plain(panel)
-    top.set_ylim(-1.15, 1.15)
+    top.set_ylim(-7.5, 107.5)
     bottom.set_ylim(-reach, reach)
-    top.set_yticks([-1, -0.5, 0, 0.5, 1], ["lower limit", "", "mid-range", "", "upper limit"])
+    top.set_yticks([0, 25, 50, 75, 100], ["lower limit 0", "25", "50", "75", "upper limit 100"])
     top.tick_params(labelbottom=False)
     bottom.set_xlabel("time [s]", fontsize=11, color=INK)
     if first:
-        top.set_ylabel("position", fontsize=11, color=INK)
+        top.set_ylabel("position [% of range]", fontsize=11, color=INK)
         bottom.set_ylabel("speed [% of limit]", fontsize=11, color=INK)
     else:
         top.tick_params(labelleft=False)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import sys
+from collections import Counter
 from pathlib import Path
 
 from catalogue import Row
@@ -12,18 +13,36 @@ PAGE = Path(__file__).resolve().parents[2] / "docs" / "reliability.md"
 BEGIN, END = "<!-- measured: begin -->", "<!-- measured: end -->"
 
 
+#: Texts that stand beside so many lines stand once, below the table.
+OFTEN = 3
+
+
 def table(rows: list[dict[str, object]]) -> str:
-    lines = ["| | test | cases | measured | target | |", "|---|---|---:|---:|---:|---|"]
-    for r in rows:
-        met = float(str(r["measured"])) <= float(str(r["target"]))
-        unit, note = f" {r['unit']}" if r["unit"] else "", "" if met else "missed. "
-        line = Row(**r)  # type: ignore[arg-type]
-        far = f"{'; ' if line.note else ''}target: {line.reason}" if line.far else ""
-        lines.append(
-            f"| {r['row']} | {r['test']} | {r['cases']:,} | {r['measured']:.3g}{unit} | {r['target']:.3g}{unit} "
-            f"| {note}{r['note']}{far} |"
-        )
-    return "\n".join(lines)
+    lines = [Row(**r) for r in rows]  # type: ignore[arg-type]
+    told = [(line.note, f"target: {line.reason}" if line.far else "") for line in lines]
+    return with_notes([_cells(line) for line in lines], told)
+
+
+def _cells(line: Row) -> str:
+    unit = f" {line.unit}" if line.unit else ""
+    missed = "" if line.met else "missed. "
+    numbers = f"{line.cases:,} | {line.measured:.3g}{unit} | {line.target:.3g}{unit}"
+    return f"| {line.row} | {line.test} | {numbers} | {missed}"
+
+
+def with_notes(lines: list[str], told: list[tuple[str, str]]) -> str:
+    """The table of lines with what is told beside them: a note, and why the target is so far away."""
+    counts = Counter(text for texts in told for text in texts if text)
+    often = {text: i for i, text in enumerate((text for text, n in counts.items() if n >= OFTEN), start=1)}
+
+    def said(text: str) -> str:
+        where = "target: " if text.startswith("target: ") else ""
+        return f"{where}see {often[text]}" if text in often else text
+
+    body = [f"{line}{'; '.join(map(said, filter(None, texts)))} |" for line, texts in zip(lines, told, strict=True)]
+    head = ["| | test | cases | measured | target | |", "|---|---|---:|---:|---:|---|"]
+    below = [f"{i}. {text.removeprefix('target: ')}" for text, i in often.items()]
+    return "\n".join([*head, *body, *(["", *below] if below else [])])
 
 
 def main(source: str, page: str = str(PAGE)) -> None:

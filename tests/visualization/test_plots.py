@@ -15,6 +15,7 @@ import pytest
 from marks import slow_unless
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.text import Text
+from odd_cells import joints_that_move_no_tool
 from runs import of_the_paper
 
 from coopqp import Arm, InvalidInputError, Recording, RobotCell, simulate
@@ -103,9 +104,9 @@ def test_joints_are_drawn_in_shares_of_their_limits(lift: Scenario, one: Recordi
     assert len(figure.axes) == 9  # positions above speeds above the names, three arms
     limits, joint = lift.cell.limits, 4  # the joint with asymmetric limits
     line = figure.axes[0].lines[joint]
-    middle = 0.5 * (limits.upper[joint] + limits.lower[joint])
-    expected = (one.q_command[:, joint] - middle) / (0.5 * (limits.upper[joint] - limits.lower[joint]))
-    np.testing.assert_allclose(line.get_ydata(), expected, atol=1e-12)
+    expected = 100.0 * (one.q_command[:, joint] - limits.lower[joint]) / (limits.upper[joint] - limits.lower[joint])
+    np.testing.assert_allclose(line.get_ydata(), expected, atol=1e-10)
+    assert [figure.axes[i].get_ylabel() for i in (0, 3)] == ["position [% of range]", "speed [% of limit]"]
     speed = figure.axes[3].lines[joint].get_ydata()
     np.testing.assert_allclose(speed[:-1], 100.0 * one.velocity[:, joint] / limits.velocity[joint])
 
@@ -167,6 +168,13 @@ def test_every_arm_has_its_own_joints_by_name_and_no_name_is_cut(
     assert shown == {tuple(" ".join(name.replace("_", " ").split()) for name in names) for names in own}
     assert cut(figure) == []
     assert figure.get_figwidth() <= 10.0
+
+
+def test_joints_that_move_no_tool_are_not_drawn(tmp_path: Path) -> None:
+    cell = joints_that_move_no_tool(tmp_path)
+    figure = joint_figure(cell, still(cell))
+    names = [{text.get_text() for text in g.get_texts()} for axes in figure.axes if (g := axes.get_legend())]
+    assert all(cell.nv == 14 and len(own) == 6 and all(name.startswith("j ") for name in own) for own in names)
 
 
 @pytest.mark.slow
