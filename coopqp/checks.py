@@ -166,7 +166,9 @@ def as_options(kind: type[_Options], value: Any, where: str) -> _Options:
         raise InvalidInputError(what, where, f"Give {kind.__name__}(…), a dictionary of its fields, or nothing.")
     known = [field.name for field in fields(kind)]  # type: ignore[arg-type]
     for name in value:
-        if name not in known and name not in getattr(kind, "removed", ()):
+        if name in getattr(kind, "removed", ()):
+            raise InvalidInputError(f"{name} is no longer an option", kind.__name__, kind.removed[name])  # type: ignore[attr-defined]
+        if name not in known:
             raise UnknownNameError("option", str(name), known, where)
     return kind(**value)
 

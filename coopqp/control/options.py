@@ -23,6 +23,9 @@ from coopqp.solvers.base import QpSolver
 class RankWeights:
     """Costs of giving something up, per unit squared; ratios of at least 100 keep the ranks apart."""
 
+    #: Options of version 0.1 that are no more, and what to do instead.
+    removed: ClassVar[Mapping[str, str]] = {"comfort": "Give posture."}
+
     chain: Annotated[float, Doc("cost of the speed at which the arms part [1/(m/s)²]")] = 1e8
     off_path: Annotated[float, Doc("cost of object velocity off the path [1/(m/s)²]")] = 1e4
     recovery: Annotated[float, Doc("cost of a joint outside its limits that is not led back [1/(rad/s)²]")] = 1e6
@@ -38,7 +41,7 @@ class RankWeights:
     length: Annotated[float, Doc("characteristic length that weighs rotation against translation [m]")] = 0.3
 
     def __post_init__(self) -> None:
-        keep_scalars(self, *self.__dataclass_fields__, low=1e-20, high=1e20)
+        keep_scalars(self, *vars(self), low=1e-20, high=1e20)
 
 
 @documented

@@ -6,4 +6,6 @@ files, and files that are written whole or not at all.
 
 from coopqp.lazy import attach
 
-__getattr__, __dir__, __all__ = attach(__name__, __file__)
+__getattr__, __dir__, __all__ = attach(
+    __name__, __file__, gone={"RenamedKeyWarning": "a key of version 0.1 is a CellFileError, which names the new key"}
+)

@@ -1,7 +1,6 @@
 from .cellfile import (
     CELLS as CELLS,
     CellFileError as CellFileError,
-    RenamedKeyWarning as RenamedKeyWarning,
     example_path as example_path,
     json_schema as json_schema,
     load_cell_file as load_cell_file,

@@ -23,7 +23,6 @@ from coopqp.errors import CoopqpError, UnknownNameError, shortened, shown
 from coopqp.files.cellfile.basic import FilePath, Name, Seconds, exactly_one
 from coopqp.files.cellfile.explain import explain
 from coopqp.files.cellfile.paths import folder_of, resolve
-from coopqp.files.cellfile.renamed import renewed
 from coopqp.files.cellfile.schema import (
     MAX_STEPS,
     CellFile,
@@ -206,7 +205,7 @@ class Study:
         for key, value in (*changes.items(), *((k, v) for k, v in values.items() if k != "case")):
             put(data, key, copy.deepcopy(value))
         disturbed = data.pop("disturbances")
-        return renewed(data, "the study"), disturbed
+        return data, disturbed
 
     def settings(self, values: Mapping[str, Any]) -> tuple[CellFile | ScenarioFile, DisturbancesTable]:
         """The checked settings of a row.

@@ -113,6 +113,7 @@ def test_a_public_name_is_there_or_says_what_replaces_it(package: str) -> None:
     assert list(said) == {
         "coopqp.control": ["LinearisedStep", "PathPreview", "Pieces", "PlainLoop", "Proposal", "StepTerms"],
         "coopqp.errors": ["KernelWarning"],
+        "coopqp.files": ["RenamedKeyWarning"],
         "coopqp.native": ["available_kernels", "compiled", "kernel_text", "warn_once"],
         "coopqp.solvers": ["Workspace"],
     }.get(package, [])

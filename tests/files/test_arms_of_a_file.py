@@ -14,7 +14,6 @@ from coopqp.files.cellfile import load_cell_task
 from coopqp.files.cellfile.error import CellFileError
 from coopqp.files.cellfile.explain import in_words_of_the_file
 from coopqp.files.cellfile.paths import check_inside, resolve
-from coopqp.files.cellfile.renamed import renewed
 from coopqp.files.cellfile.text import read_tables
 from coopqp.files.cellfile.write import file_text
 from coopqp.scenarios import robot_path
@@ -282,17 +281,3 @@ def test_a_path_may_be_written_in_every_form(tmp_path: Path, monkeypatch: pytest
 )  # fmt: skip
 def test_a_folder_of_results_lies_below_the_working_directory(folder: str, inside: bool) -> None:
     assert (check_inside(folder) is None) is inside
-
-
-def test_old_names_are_renewed_wherever_they_stand() -> None:
-    """Also in a list of tables; what has no old name is left as it is, without a warning."""
-    old = {"controller": [{"weights": {"comfort": 1.0}}, {"common_error": {"kind": "master", "master": "a"}}, 3]}
-    with pytest.warns(match="a study has names of version 0.1") as caught:
-        new = renewed(old, "a study")
-    assert new == {
-        "controller": [{"weights": {"posture": 1.0}}, {"common_error": {"kind": "leader", "leader": "a"}}, 3]
-    }
-    assert len(caught) == 1
-    plain: Any
-    for plain in ({"controller": {"common_error": {"kind": 3}}}, {"controller": 3}, [], None):
-        assert renewed(plain, "x") == plain

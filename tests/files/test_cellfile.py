@@ -7,7 +7,6 @@ import contextlib
 import dataclasses
 import json
 import re
-import warnings
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -35,11 +34,10 @@ from coopqp.checks import meanings
 from coopqp.cli.demo import run_method
 from coopqp.control import RankWeights
 from coopqp.errors import MissingExtraError, UnknownNameError
-from coopqp.files import CellFileError, RenamedKeyWarning
+from coopqp.files import CellFileError
 from coopqp.files.cellfile import CELLS, example_path, json_schema, schema_text
 from coopqp.files.cellfile.build import CellRun
 from coopqp.files.cellfile.hints import grip_hints
-from coopqp.files.cellfile.renamed import renewed
 from coopqp.files.cellfile.text import read_tables
 from coopqp.scenarios import ROBOTS, Scenario, robot_file, robot_path
 from coopqp.simulation import PhysicsOptions, PhysicsPlant, Tolerances, read_run
@@ -391,34 +389,19 @@ def test_common_errors(table: str, load: Callable[[str], CellRun]) -> None:
     np.testing.assert_array_equal(options.common_error.shares(_cell(load)), np.ones((1, 6)))
 
 
-def test_names_of_version_01_are_read_with_one_warning_that_lists_them(load: Callable[[str], CellRun]) -> None:
-    old = 'kind = "qp"\ncommon_error = { kind = "master", master = "a" }\nweights = { comfort = 1e-5 }'
-    with pytest.warns(RenamedKeyWarning) as caught:
-        options = load(_controller(old)).options
-    new = 'kind = "qp"\ncommon_error = { kind = "leader", leader = "a" }\nweights = { posture = 1e-5 }'
-    with warnings.catch_warnings():
-        warnings.simplefilter("error", RenamedKeyWarning)
-        same = load(_controller(new)).options
-    assert same.weights == options.weights
-    assert (options.common_error.kind, options.common_error.arms) == ("leader", ("a",))
-    assert options.weights.posture == 1e-5
-    (message,) = (str(warning.message) for warning in caught if warning.category is RenamedKeyWarning)
-    for text in (
-        "controller.common_error.master is now controller.common_error.leader",
-        "controller.weights.comfort is now controller.weights.posture",
-        'controller.common_error.kind = "master" is now controller.common_error.kind = "leader"',
-    ):
-        assert text in message
-
-
-def test_names_of_version_01_in_a_recording_and_a_key_with_both_names() -> None:
-    old = {"controller": {"kind": "qp", "common_error": {"kind": "driver", "master": "a", "driver": "b"}}}
-    with pytest.warns(RenamedKeyWarning, match="the recording has names of version 0.1"):
-        new = renewed(old, "the recording")
-    assert new["controller"]["common_error"] == {"kind": "driver", "leader": "a", "driver": "b"}
-    assert old["controller"]["common_error"]["master"] == "a"  # what was given stays
-    both = {"controller": {"weights": {"comfort": 1.0, "posture": 2.0}}}
-    assert renewed(both, "a file") == both  # the schema then refuses it
+@pytest.mark.parametrize(
+    ("table", "says"),
+    [
+        ('common_error = { kind = "leader", master = "a" }', "common_error: master is no longer a key; give leader"),
+        ("weights = { comfort = 1e-5 }", "weights: comfort is no longer a key; give posture"),
+        ('common_error = { kind = "master", leader = "a" }', "common_error.kind: .*'master'.*'?leader'?"),
+    ],
+)
+def test_a_name_of_version_01_is_one_error_that_names_the_new_one(
+    table: str, says: str, load: Callable[[str], CellRun]
+) -> None:
+    with pytest.raises(CellFileError, match=says):
+        load(_controller(f'kind = "qp"\n{table}'))
 
 
 def test_the_stiffness_of_servos_is_told_arm_by_arm(load: Callable[[str], CellRun]) -> None:

@@ -26,7 +26,6 @@ from coopqp import CoopqpError, simulate
 from coopqp.baselines import PseudoInverseController
 from coopqp.cli import main as cli, terminal
 from coopqp.errors import MissingExtraError, OutputError
-from coopqp.files import RenamedKeyWarning
 from coopqp.scenarios import paper_lift
 from coopqp.simulation import read_run
 from coopqp.studies import (
@@ -218,15 +217,10 @@ def test_the_figures_of_a_row_are_those_of_the_run(tmp_path: Path) -> None:
     assert (row["outcome"], row["verdict"], row["steps"]) == ("ok", "no", 40)
 
 
-def test_a_study_with_names_of_version_01_gives_the_rows_of_the_new_names(tmp_path: Path) -> None:
+def test_a_study_with_a_name_of_version_01_is_told_the_new_one(tmp_path: Path) -> None:
     old = 'name = "s"\nscenario = "paper_lift"\n[axes]\n"controller.weights.comfort" = [1e-6, 1e-5]\n'
-    file = study_file(tmp_path, old)
-    with pytest.warns(RenamedKeyWarning, match=r"comfort is now controller\.weights\.posture"):
-        study = load_study(file)
-    with pytest.warns(RenamedKeyWarning):
-        settings, _ = study.settings(study.row(1).values)
-    assert settings.controller.weights.posture == 1e-5
-    assert study.varied == ("controller.weights.comfort",)
+    with pytest.raises(StudyError, match="comfort is no longer a key; give posture"):
+        load_study(study_file(tmp_path, old))
 
 
 def test_a_run_that_takes_too_long_is_a_row_that_failed(tmp_path: Path) -> None:

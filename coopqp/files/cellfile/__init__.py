@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 from coopqp.checks import require
 from coopqp.errors import MissingExtraError, UnknownNameError
-from coopqp.files.cellfile.error import CellFileError, RenamedKeyWarning
+from coopqp.files.cellfile.error import CellFileError
 
 if TYPE_CHECKING:
     from coopqp.files.cellfile.build import CellRun, CellTask
@@ -19,7 +19,6 @@ if TYPE_CHECKING:
 __all__ = [
     "CELLS",
     "CellFileError",
-    "RenamedKeyWarning",
     "example_path",
     "json_schema",
     "load_cell_file",

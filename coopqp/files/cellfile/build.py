@@ -7,7 +7,7 @@ import importlib
 import math
 import warnings
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -35,7 +35,6 @@ from coopqp.files.cellfile.error import CellFileError
 from coopqp.files.cellfile.explain import explain, in_words_of_the_file
 from coopqp.files.cellfile.path_tables import HoldTable, LineTable, TimedTable, WaypointsTable
 from coopqp.files.cellfile.paths import folder_of
-from coopqp.files.cellfile.renamed import renewed
 from coopqp.files.cellfile.schema import (
     MAX_STEPS,
     CellFile,
@@ -281,7 +280,7 @@ def read(file: Path) -> CellFile:
     Raises:
         CellFileError: as in :func:`read_tables`, or the file breaks the schema.
     """
-    data = renewed(read_tables(file), str(file))
+    data = read_tables(file)
     try:
         return CellFile.model_validate(data)
     except ValidationError as error:
@@ -514,9 +513,10 @@ def _solver_settings(solver: str, given: Mapping[str, Any]) -> Any:
     """The settings object of a QP solver."""
     name = _SOLVER_SETTINGS.get(solver, "GenericSettings")
     settings = getattr(importlib.import_module("coopqp.solvers"), name)
+    known = {entry.name for entry in fields(settings)} - {"options"}
     for key in given:
-        if key not in {*settings.__dataclass_fields__, *settings.removed} or key == "options":
-            raise UnknownNameError("setting", key, (k for k in settings.__dataclass_fields__ if k != "options"), name)
+        if key not in known | settings.removed.keys():
+            raise UnknownNameError("setting", key, known, name)
     return settings(**given)
 
 

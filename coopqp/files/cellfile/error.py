@@ -10,7 +10,3 @@ TOML_SUFFIX, YAML_SUFFIXES = ".toml", (".yaml", ".yml")
 
 class CellFileError(CoopqpError):
     """A cell file is missing, is neither TOML nor YAML, or breaks the schema."""
-
-
-class RenamedKeyWarning(UserWarning):
-    """A file, a study or a recording has keys that are named otherwise since version 0.1; the message lists them."""

@@ -244,6 +244,8 @@ class ObjectTable(Table):
 class CommonErrorTable(Table):
     """Weights that define the object pose from the views of the arms."""
 
+    removed = {"master": "Give leader."}  # noqa: RUF012  # of version 0.1
+
     kind: Literal["leader", "leaderless", "driver", "per_axis"] = Field(description="see coopqp.model.common_error")
     leader: Name | None = Field(
         default=None, description="arm that defines the object pose (kind leader) or its position (kind driver)"

@@ -16,7 +16,6 @@ from coopqp.files.cellfile.build import DEFAULT_DT, ELBOWS, CellRun, read
 from coopqp.files.cellfile.error import CellFileError
 from coopqp.files.cellfile.explain import explain
 from coopqp.files.cellfile.paths import folder_of, resolve
-from coopqp.files.cellfile.renamed import renewed
 from coopqp.files.cellfile.schema import ArmTable, CellFile, RobotTable
 from coopqp.forces.calibration import Calibration
 from coopqp.model.cell import RobotCell
@@ -248,7 +247,7 @@ def settings_of(metadata: Mapping[str, Any], given: Path | None) -> tuple[CellFi
             "the recording is not one of a cell file, so there is none to correct. Give it with --cell."
         )
     try:
-        return CellFile.model_validate(renewed(tables, "the recording")), None
+        return CellFile.model_validate(tables), None
     except ValidationError as error:
         said = f"the recording's own cell file: {explain(error).rstrip('.')}. Give a corrected one with --cell."
         raise CellFileError(said) from error
