@@ -15,15 +15,27 @@ SANITIZED := build/sanitized
 .PHONY: demo check quick test test-nightly lint core sanitize mutation docs bench tables pictures browser clean \
   environments lowest newest no-compiler release wheel extras import
 
-$(VENV)/.installed: pyproject.toml CMakeLists.txt $(wildcard coopqp/core/*.cpp coopqp/core/*.h coopqp/core/*/*.cpp coopqp/core/*/*.h coopqp/core/*.py)
+SOURCES := pyproject.toml CMakeLists.txt $(wildcard coopqp/core/*.cpp coopqp/core/*.h coopqp/core/*/*.cpp \
+  coopqp/core/*/*.h coopqp/core/*.py)
+# Make a virtual environment, and install into it.
+define install
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 10) and "coopqp needs Python >= 3.10: make PYTHON=python3.x ...")'
 	$(PYTHON) -m venv $(VENV)
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[dev]'
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check
+endef
+
+$(VENV)/.installed: $(SOURCES)
+	$(install) --editable '.[dev]'
 	touch $@
 
-demo: $(VENV)/.installed
+# What the demo needs: the package, with its arithmetic compiled once, for any processor. Python compiles what it imports.
+$(VENV)/.demo: export SKBUILD_CMAKE_DEFINE := COOPQP_AVX2=OFF
+$(VENV)/.demo: $(SOURCES)
+	$(install) --no-compile --editable .
+	touch $@
+
+demo: $(if $(wildcard $(VENV)/.installed),$(VENV)/.installed,$(VENV)/.demo)
 	$(BIN)/coopqp demo --force --out $(OUT)
-	$(BIN)/python docs/screenshots.py jog --if-browser --out $(OUT)
 
 # After every edit: lint and types, and beside them every test that is not marked slow, properties with a tenth of their
 # examples.

@@ -14,8 +14,9 @@ import shutil
 import subprocess
 import sys
 import tempfile
+import time
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from importlib.util import find_spec
 from pathlib import Path
 
@@ -74,6 +75,23 @@ def compiler() -> Iterator[None]:
             del os.environ["CXX"]
 
 
+def say(text: str) -> None:
+    """Tell whoever waits. Installers show nothing that a build prints, so this is written to the terminal itself."""
+    with suppress(OSError), Path("/dev/tty").open("w", encoding="utf-8") as terminal:
+        terminal.write(f"\r{text}\n")
+
+
+@contextmanager
+def compiling() -> Iterator[None]:
+    """The compiler, and how long it takes."""
+    long = "some minutes, as Zig's compiler makes its libc++ first" if missing() else "one to two minutes on two cores"
+    say(f"coopqp: compiling its core: {long}")
+    began = time.monotonic()
+    with compiler():
+        yield
+    say(f"coopqp: compiled in {time.monotonic() - began:.0f} s")
+
+
 def get_requires_for_build_wheel(config_settings: Settings = None) -> list[str]:
     """What scikit-build-core requires, and a compiler where none works."""
     return backend.get_requires_for_build_wheel(config_settings) + [ZIG] * missing()
@@ -86,11 +104,11 @@ def get_requires_for_build_editable(config_settings: Settings = None) -> list[st
 
 def build_wheel(directory: str, config_settings: Settings = None, metadata_directory: str | None = None) -> str:
     """As scikit-build-core builds, with that compiler."""
-    with compiler():
+    with compiling():
         return backend.build_wheel(directory, config_settings, metadata_directory)
 
 
 def build_editable(directory: str, config_settings: Settings = None, metadata_directory: str | None = None) -> str:
     """As scikit-build-core builds, with that compiler."""
-    with compiler():
+    with compiling():
         return backend.build_editable(directory, config_settings, metadata_directory)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import importlib.util
 import os
+import re
 import subprocess
 import sys
 from collections.abc import Callable
@@ -58,6 +59,17 @@ def test_a_compiler_that_works_is_taken_and_nothing_is_asked_for(build: Callable
     backend = build(cxx="exit 1", gxx="exit 0")
     assert required(backend) == [["ninja"]] * 2
     assert built(backend) == ["the compiler at hand"] * 2
+
+
+def test_a_build_says_that_it_compiles_and_how_long_that_takes(
+    build: Callable[..., ModuleType], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    said: list[str] = []
+    backend = build(cxx="exit 0")
+    monkeypatch.setattr(backend, "say", said.append)
+    assert built(backend) == ["the compiler at hand"] * 2
+    assert said[::2] == ["coopqp: compiling its core: one to two minutes on two cores"] * 2
+    assert all(re.fullmatch(r"coopqp: compiled in \d+ s", text) for text in said[1::2])
 
 
 def test_a_compiler_that_is_set_is_never_replaced(

@@ -43,6 +43,12 @@ def test_examples_are_numbered_short_and_shown() -> None:
         assert f"examples/{file.name}" in text
 
 
+def test_the_pages_have_a_bounded_number_of_words() -> None:
+    """Outside of code and output: who adds a page takes something out."""
+    prose = (re.sub(r"^```.*?^```$", "", page.read_text(encoding="utf-8"), flags=re.M | re.S) for page in PAGES)
+    assert sum(len(text.split()) for text in prose) <= 45_000
+
+
 def test_programs_and_files_stand_in_the_pages_as_they_are() -> None:
     """A reader of the repository sees them there. After a change of one: python docs/listings.py."""
     for page in PAGES:

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import json
+import re
 import sys
 from collections import Counter
+from dataclasses import replace
 from pathlib import Path
 
 from catalogue import Row
@@ -17,8 +19,28 @@ BEGIN, END = "<!-- measured: begin -->", "<!-- measured: end -->"
 OFTEN = 3
 
 
+#: Part of a test whose cases are spread over several processes.
+PART = re.compile(r"[,:] \d+ of (\d+)")
+
+
+def whole(rows: list[Row]) -> list[Row]:
+    """The parts of a test in one line: all their cases, the worst of what they measured, and a note if all have it."""
+    tests: dict[tuple[str, str], list[Row]] = {}
+    for row in rows:
+        tests.setdefault((row.row, PART.sub("", row.test)), []).append(row)
+    return [
+        replace(
+            max(parts, key=lambda r: r.measured),
+            test=test,
+            cases=sum(r.cases for r in parts),
+            note=parts[0].note if len({r.note for r in parts}) == 1 else "",
+        )
+        for (_, test), parts in tests.items()
+    ]
+
+
 def table(rows: list[dict[str, object]]) -> str:
-    lines = [Row(**r) for r in rows]  # type: ignore[arg-type]
+    lines = whole([Row(**r) for r in rows])  # type: ignore[arg-type]
     told = [(line.note, f"target: {line.reason}" if line.far else "") for line in lines]
     return with_notes([_cells(line) for line in lines], told)
 
