@@ -9,6 +9,7 @@ import sys
 from collections.abc import Callable, Mapping
 from difflib import get_close_matches
 from importlib import import_module
+from importlib.util import find_spec
 from pathlib import Path
 from types import MappingProxyType, ModuleType
 from typing import Any
@@ -44,11 +45,12 @@ def attach(
         if name in gone:
             removed(package, gone)(name)
         if name not in names:
-            asking = sys._getframe(1)
-            machinery = asking.f_code.co_filename == "<frozen importlib._bootstrap>"  # it looks for a module next
-            hint = "" if machinery or name.startswith("_") else _hint(package, name)
+            # Python asks for the name of an import here, before it looks for a module of that name.
+            imports = sys._getframe(1).f_code.co_filename == "<frozen importlib._bootstrap>"
+            module = imports and find_spec(f"{package}.{name}") is not None
+            hint = "" if module or name.startswith("_") else _hint(package, name)
             message = f"module {package!r} has no attribute {name!r}{hint}"
-            if not machinery and _imports(asking):
+            if imports and not module:
                 raise ImportError(message, name=package, path=file)
             raise AttributeError(message, name=name, obj=sys.modules[package])
         try:
@@ -97,13 +99,6 @@ def needed(module: str, extra: str, package: str) -> Any:
     return sys.modules[module]
 
 
-def _imports(frame: Any) -> bool:
-    """The frame is at ``from package import name``, which would replace the message of an AttributeError."""
-    import dis  # late: it imports much
-
-    return dis.opname[frame.f_code.co_code[frame.f_lasti]] == "IMPORT_FROM" if frame.f_lasti >= 0 else False
-
-
 def _hint(package: str, name: str) -> str:
     """Where a name is that a package does not have, or the nearest name that it has."""
     places = _places()
@@ -117,17 +112,11 @@ def _hint(package: str, name: str) -> str:
 
 
 def _places() -> dict[str, str]:
-    """The public package of every public name, read from the stubs, the scenarios and the modules at the top."""
-    import ast
-
+    """The public package of every public name."""
     root, places = Path(__file__).parent, dict[str, str]()
-    modules = [root / name for name in ("errors.py", "output.py", "spatial.py")]
-    stubs = [root / "scenarios" / "__init__.py", *sorted(root.glob("*/__init__.pyi")), root / "__init__.pyi"]
-    for file in (*modules, *stubs):  # the top last: it counts
-        package = ".".join(("coopqp", *file.relative_to(root).with_suffix("").parts)).removesuffix(".__init__")
-        for node in ast.parse(file.read_text(encoding="utf-8")).body:
-            if isinstance(node, ast.ClassDef | ast.FunctionDef) and not node.name.startswith("_"):
-                places[node.name] = package
-            elif isinstance(node, ast.ImportFrom) and file in stubs and (node.level or "coopqp" in str(node.module)):
-                places |= {alias.name: package for alias in node.names}
+    packages = ["scenarios", *sorted(file.parent.name for file in root.glob("*/__init__.pyi"))]
+    for package in ("coopqp.errors", "coopqp.output", "coopqp.spatial", *(f"coopqp.{p}" for p in packages), "coopqp"):
+        module = import_module(package)  # the top last: it counts
+        own = [name for name, thing in vars(module).items() if getattr(thing, "__module__", "") == package]
+        places |= dict.fromkeys(getattr(module, "__all__", own), package)
     return places
