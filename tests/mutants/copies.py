@@ -25,40 +25,10 @@ import hypothesis.strategies, numpy, pinocchio, pytest
 
 class Told:
     def __init__(self, job):
-        self.job, self.place = job, {name: i for i, name in enumerate(job["tests"])}
-        self.lines = None
+        self.place = {name: i for i, name in enumerate(job["tests"])}
 
     def pytest_collection_modifyitems(self, items):
         items.sort(key=lambda item: self.place.get(item.nodeid.partition("[")[0], 1e9))
-
-    def pytest_runtest_setup(self, item):
-        if self.lines is not None:
-            self.lines.switch_context(item.nodeid.partition("[")[0])
-
-    def pytest_runtest_logreport(self, report):
-        name = report.nodeid.partition("[")[0]
-        self.took[name] = self.took.get(name, 0.0) + report.duration
-
-    took = {}
-
-    def run(self):
-        if not self.job["covered"]:
-            return int(pytest.main(self.job["arguments"], plugins=[self]))
-        import coverage
-
-        self.lines = coverage.Coverage(
-            data_file=None, config_file=False, include=[os.path.join(os.getcwd(), "coopqp", "*")]
-        )
-        self.lines.start()
-        status = int(pytest.main(self.job["arguments"], plugins=[self]))
-        self.lines.stop()
-        data, reached = self.lines.get_data(), {}
-        for file in data.measured_files():
-            named = {line: [n for n in names if n] for line, names in data.contexts_by_lineno(file).items()}
-            reached[os.path.relpath(file)] = {line: names for line, names in named.items() if names}
-        with open(self.job["covered"], "w") as file:
-            json.dump({"took": self.took, "reached": reached}, file)
-        return status
 
 
 for line in sys.stdin:
@@ -70,7 +40,7 @@ for line in sys.stdin:
         os.dup2(said, 1), os.dup2(said, 2)
         status = 3
         try:
-            status = Told(job).run()
+            status = int(pytest.main(job["arguments"], plugins=[Told(job)]))
         finally:
             sys.stdout.flush()
             os._exit(status)
@@ -92,29 +62,28 @@ class Copy:
         shutil.copytree(ROOT, folder, ignore=_left_out, symlinks=True)
         self.compiled = c.compile_copy(folder)
         path = [str(folder / "tests" / "elsewhere"), str(folder)]
-        self._environment = {
+        self.environment = {
             **os.environ, "PYTHONPATH": os.pathsep.join(path), "HYPOTHESIS_PROFILE": "mutation",
             "OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1",
         }  # fmt: skip
         where = subprocess.run(
             [sys.executable, "-c", "import coopqp; print(coopqp.__file__)"],
-            env=self._environment, cwd=folder, capture_output=True, text=True, check=True,
+            env=self.environment, cwd=folder, capture_output=True, text=True, check=True,
         )  # fmt: skip
         assert Path(where.stdout.strip()).is_relative_to(folder), where.stdout
         self._tester = subprocess.Popen(
             [sys.executable, "-c", _TESTER],
-            env=self._environment, cwd=folder, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True,
+            env=self.environment, cwd=folder, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True,
         )  # fmt: skip
 
-    def run(self, tests: Sequence[str], *options: str, limit: int, covered: Path | None = None) -> int:
+    def run(self, tests: Sequence[str], *options: str, limit: int) -> int:
         """The exit status of pytest with these files or tests, in this order; negative for a signal.
 
-        ``limit`` is in seconds of a processor. With ``covered``, which test took how long and reached which line is
-        written there.
+        ``limit`` is in seconds of a processor.
         """
         job = {
             "arguments": ["-p", "no:cacheprovider", "--timeout", "0", *options, *tests], "limit": limit,
-            "tests": list(tests), "covered": str(covered or ""), "said": str(self.folder / "said.txt"),
+            "tests": list(tests), "said": str(self.folder / "said.txt"),
         }  # fmt: skip
         assert self._tester.stdin is not None
         assert self._tester.stdout is not None
@@ -136,24 +105,15 @@ class Copy:
 
     @contextmanager
     def changed(self, name: str, text: str) -> Iterator[bool]:
-        """A file has another text for a while; yields False if it does not compile."""
+        """A file of C++ has another text for a while; yields False if it does not compile."""
         file = self.folder / name
         source = file.read_text(encoding="utf-8")
-        built = next((self.folder / "coopqp" / "core").glob("_core*.so")) if name.endswith(".cpp") else None
-        kept = built.read_bytes() if built else b""
+        built = next((self.folder / "coopqp" / "core").glob("_core*.so"))
+        kept = built.read_bytes()
         try:
             file.write_text(text, encoding="utf-8")
-            self._forget(file)
-            yield built is None or c.compile_copy(self.folder)
+            yield c.compile_copy(self.folder)
         finally:
             file.write_text(source, encoding="utf-8")
-            self._forget(file)
-            if built:
-                built.unlink(missing_ok=True)  # a new file: a program that runs keeps the old one
-                built.write_bytes(kept)
-
-    @staticmethod
-    def _forget(file: Path) -> None:
-        """Compiled, one second may be as good as another to Python, and one length as good as another."""
-        for compiled in (file.parent / "__pycache__").glob(f"{file.stem}.*.pyc"):
-            compiled.unlink()
+            built.unlink(missing_ok=True)  # a new file: a program that runs keeps the old one
+            built.write_bytes(kept)

@@ -1,15 +1,13 @@
-"""The parts of tests/mutation.py that need no other package: what is changed in C, and which tests are chosen."""
+"""The parts of tests/mutation.py that need no other package: what is changed in C++."""
 
 from __future__ import annotations
 
 import sys
 
-import pytest
 from places import ROOT
 
 sys.path.insert(0, str(ROOT / "tests"))
 from mutants import c
-from mutants.reach import Reach, folders_of, in_functions
 
 SOURCE = """/* if (a < b) nothing; */
 #define TWICE(x) (2 * (x))
@@ -63,38 +61,7 @@ def test_every_source_in_cpp_has_places_and_is_compiled_or_included() -> None:
     assert {*c.SOURCES} < {*files}
 
 
-ALL = ["quick", "long", "other", "last"]
-
-
-@pytest.mark.parametrize(
-    ("line", "seconds", "tests"), [("x = 1", 9.0, ALL[:3]), ("x = 1", 99.0, ALL), ("", 1.0, ["other", "last", "quick"])]
-)
-def test_the_tests_of_a_line_come_first(line: str, seconds: float, tests: list[str]) -> None:
-    took = {"quick": 1.0, "long": 5.0, "other": 2.0, "last": 7.0}
-    reach = Reach(took, {"m.py": {"x = 1": ["quick", "long"]}}, {"m.py": ["other", "last", "quick"]})
-    assert reach.tests("m.py", f"    {line}" if line else "", seconds) == tests
-
-
-def test_only_tests_in_the_folders_asked_for_are_chosen() -> None:
-    reach = Reach({}, {}, {"m.py": ["tests/cli/test_a.py::b", "tests/forces/test_a.py::c"]})
-    assert reach.tests("m.py", "", 9.0, ["tests/forces/"]) == ["tests/forces/test_a.py::c"]
-
-
-def test_the_tests_of_a_package_come_before_all_others() -> None:
-    own, second = folders_of("forces")
-    assert own == ["tests/forces/"]
-    assert {"tests/cli/", "tests/simulation/", "tests/planning/", "tests/programs/"} <= {*second}
-    assert not {"tests/forces/", "tests/browser/", "tests/support/"} & {*second}
-
-
 def test_every_package_has_a_folder_of_tests() -> None:
     """Where mutation runs find them."""
     packages = {folder.name for folder in (ROOT / "coopqp").iterdir() if (folder / "__init__.py").exists()}
     assert {name for name in packages if not list((ROOT / "tests" / name).glob("test_*.py"))} == set()
-
-
-def test_lines_of_functions() -> None:
-    assert in_functions("A = 1\ndef f():\n    return 2\nclass B:\n    c = 3\n    def g(self):\n        x = 4\n") == {
-        3,
-        7,
-    }
