@@ -49,9 +49,8 @@ GLUE = (
     "coopqp/core/binding/module.cpp",
     "coopqp/core/binding/distances.cpp",
     "coopqp/core/binding/guards.h",
-    "coopqp/core/header.py",
     "coopqp/core/binding/kinematics.cpp",
-    "coopqp/core/layout.py",
+    "coopqp/core/binding/structs.cpp",
     "coopqp/core/binding/step.cpp",
 )
 #: Other names of the core's constants in Python.

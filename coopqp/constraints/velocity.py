@@ -101,8 +101,11 @@ class RowsInMemory(Protocol):
         """Raise lower bounds that the command breaks; whether it does."""
         ...
 
-    def stopping(self, place: int, /) -> int:
-        """Label that stops the object on the way to the grid point at a place, -2 for none; -1 if that is not known."""
+    def stopping(self, place: int, span: float, /) -> int:
+        """Label that stops the object on the way to the grid point at a place, -2 for none; -1 if that is not known.
+
+        The way takes ``span`` [s of the clock].
+        """
         ...
 
     def prepare(self) -> None:

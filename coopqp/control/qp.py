@@ -527,7 +527,7 @@ class QPController(OperatorCalls):
         """The core's function that steps with wrenches, for :class:`coopqp.ForceController`; None if Python has to.
 
         Args:
-            memory: numbers of :data:`coopqp.core.layout.Minding`.
+            memory: numbers of ``Minding`` in ``minding.h``.
             tell: puts words into a step that forces have something to say about.
 
         Returns:

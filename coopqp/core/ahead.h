@@ -35,7 +35,7 @@ static void copy_knot(Core *c, int from, int to) {
 }
 
 static void name_cause(Cause &cause, LimitKind kind, int arm, int joint) {
-    cause = Cause{(double)kind, (double)arm, (double)joint};
+    cause = Cause{kind, arm, joint};
 }
 
 /* The arm of a joint; of a shared one the first that has it. */

@@ -13,7 +13,7 @@
 #include <utility>
 
 #include "frames.h"
-#include "layout.h"
+#include "constants.h"
 
 #define PER_JOINT 14
 #define SLIDES 12

@@ -329,7 +329,7 @@ static int bound_by_limits(Core *c, int before, int i, double clock, double span
     /* Without acceleration limits the step itself finds the cap by speed; below the cap by curvature it changes slowly. */
     const int capped = o->caps_speed != 0.0;
     const double square = by_speed * by_speed, cap = 1.0 / maximum(capped ? square : by_bend, 1.0);
-    *k = Knot{};
+    *k = Knot();
     k->clock = clock;
     k->span = before < 0 ? 0.0 : span;
     k->cap = cap;
@@ -356,7 +356,7 @@ static Trial constrain(Core *c, int made) {
         return FOUND;
     if (c->bound_knot(c, place_of(c, made))) return FOUND;
     if (isnan(k->cap)) return CANNOT_SAY;
-    c->ahead->beyond = 1.0 + k->limit.joint;
+    c->ahead->beyond = 1 + k->limit.joint;
     c->ahead->beyond_at = k->clock;
     return REJECTED;
 }

@@ -1,6 +1,6 @@
 /* The compiled step: what its files share. No Python here.
  *
- * layout.py lists the memory, three blocks in one piece that each Core owns: fields are members of Core, seen as
+ * memory.h lists the memory, three blocks in one piece that each Core owns: fields are members of Core, seen as
  * Eigen's vectors and matrices (views.h). Vectors of joints have one number per joint [rad or m]; twists are [linear; angular].
  * Sizes inside a step are fixed or bounded: nothing of it is on the heap, and each build has Eigen under a name of its own.
  *
@@ -33,7 +33,8 @@
 #include <algorithm>
 #include <utility>
 
-#include "layout.h"
+#include "memory.h"
+#include "minding.h"
 #include "views.h"
 
 /* Unknowns of the condensed QP but for null-space motions: off-path twist, rate, shares of both corrections. */

@@ -12,12 +12,10 @@ constexpr double KINK_CELL = 2e-3; /* where an interval this short is too long, 
 /* A twist by finite differences jumps this much before and after the path, at most [s] */
 constexpr double BESIDE_KINK = 2e-5;
 
-/* What growth looks for where a span was too long: a jump of a user's path, of its twist, of the path beside that. */
-enum { NOT_SEEKING, JUMPS, KINKS_OF_TWIST, BESIDE_A_KINK };
-
 /* Growth has come to a pause between two knots. */
 static void rest_growth(Core *c) {
-    c->ahead->growing = c->ahead->way = c->ahead->seeking = c->ahead->closing_in = 0.0;
+    c->ahead->growing = c->ahead->closing_in = false;
+    c->ahead->way = 0, c->ahead->seeking = NOT_SEEKING;
     c->ahead->begin_at = INFINITY;
 }
 
@@ -148,7 +146,7 @@ static int go_past(Core *c, int made) {
         end_growth(c);
         return 0;
     }
-    c->ahead->way += 1.0;
+    c->ahead->way++;
     if (!first && k->fastest < knot(c, made - 1)->fastest) return 1;
     if (c->ahead->way >= LONGEST_WAY || k->clock >= end)
         end_growth(c);
@@ -205,7 +203,7 @@ static int take_kink(Core *c, int last, double clock, double kink) {
 /* The first piece of a stage of the search: 1 if it may jump there. */
 static int look_for_jump(Core *c, double clock) {
     Ahead *a = c->ahead;
-    switch ((int)a->seeking) {
+    switch (a->seeking) {
     case JUMPS: return begin_seeking(c, 1, clock, clock + a->try_span);
     case KINKS_OF_TWIST: return begin_seeking(c, 0, maximum(clock - JUST_BEFORE, 0.0), clock + a->try_span);
     default: return begin_seeking(c, 1, a->kink - BESIDE_KINK, a->kink + BESIDE_KINK);
@@ -216,7 +214,8 @@ static int look_for_jump(Core *c, double clock) {
  * the path makes. The span ends there, or is halved. 0 if the path fails. */
 static int seek(Core *c) {
     Ahead *a = c->ahead;
-    const int last = (int)c->ahead->count - 1, stage = (int)a->seeking, pose = stage != KINKS_OF_TWIST;
+    const int last = (int)c->ahead->count - 1, pose = a->seeking != KINKS_OF_TWIST;
+    const Seeking stage = a->seeking;
     const double clock = knot(c, last)->clock;
     const int may = a->closing_in != 0.0 ? go_on_seeking(c, pose) : look_for_jump(c, clock);
     a->closing_in = may && seeks_on(c, pose);
@@ -272,7 +271,7 @@ static int work_ahead(Core *c) {
         return -1;
     }
     switch (try_knot(c, made - 1, made, c->ahead->try_span, (int)c->ahead->iteration)) {
-    case PENDING: c->ahead->iteration += 1.0; return 1;
+    case PENDING: c->ahead->iteration++; return 1;
     case REJECTED:
         if (c->ahead->blind != 0.0) {
             rest_growth(c);

@@ -48,7 +48,7 @@ static int share_at(Core *c, int i) {
 static void look_back(Core *c) {
     const int count = (int)c->ahead->count, complete = c->ahead->complete != 0.0, end = count - (complete ? 1 : 2);
     int settled = complete ? count : 0;
-    c->ahead->fresh = 0.0;
+    c->ahead->fresh = 0;
     if (end < 0) return;
     if (complete) {
         Knot *last = knot(c, end);
@@ -58,13 +58,13 @@ static void look_back(Core *c) {
     }
     for (int i = end - 1; i >= (int)c->ahead->known; i--)
         if (!share_at(c, i) && !settled) settled = i + 1;
-    c->ahead->known = maximum(c->ahead->known, settled);
+    c->ahead->known = std::max(c->ahead->known, settled);
 }
 
 static void push_knot(Core *c) {
     const int count = (int)c->ahead->count;
     c->ahead->count = count + 1;
-    c->ahead->fresh += 1.0;
+    c->ahead->fresh++;
     if (knot(c, count)->cap == 0.0) c->ahead->complete = 1.0; /* nothing comes after a stop */
     if (c->ahead->complete != 0.0 || c->ahead->fresh >= KNOTS_PER_PASS) look_back(c);
 }
@@ -77,8 +77,8 @@ static void finish_horizon(Core *c) {
 static void leave_behind(Core *c, double clock) {
     while (c->ahead->count > 1.0 && knot(c, 1)->clock <= clock) {
         c->ahead->head = place_of(c, 1);
-        c->ahead->count -= 1.0;
-        c->ahead->known = maximum(c->ahead->known - 1.0, 0.0);
+        c->ahead->count--;
+        c->ahead->known = std::max(c->ahead->known - 1, 0);
     }
 }
 

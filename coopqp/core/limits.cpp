@@ -161,7 +161,7 @@ static int ray(Core *c, double cap) {
     if (!admissible_rates(c, base, c->along_velocity, ALL_ROWS, &rates)) return 0;
     if (!(rates.high >= max_of(rates.low, 0.0) && rates.low <= 1.0)) return 0;
     const double rate = rates.high < cap ? rates.high : max_of(cap, rates.low);
-    c->proposal->binding_row = rates.high < cap ? rates.row : -1.0;
+    c->proposal->binding_row = rates.high < cap ? rates.row : -1;
     c->proposal->binding_side = rates.side;
     c->proposal->new_rate = rate;
     c->command += (rate - cap) * c->along_velocity;

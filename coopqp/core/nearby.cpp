@@ -197,13 +197,10 @@ Nearby::Nearby(const nb::dict &arrays, const Settings &settings, Coal &&coal_giv
     take(arrays, "owner", owner, most_rows);
     take(arrays, "centre", centre, nv), take(arrays, "quiet_reach", weights, nv);
     take(arrays, "slack", slack, 1), take(arrays, "approach", approach, 1);
-    take(arrays, "knot_numbers", knot_numbers, 2), take(arrays, "knot_positions", knot_at, -1);
-    const double size = knot_numbers.data[0], span = knot_numbers.data[1];
+    take(arrays, "knot_positions", knot_at, -1);
     take(arrays, "knot_slope", knot_slope, knot_at.size), take(arrays, "knot_curvature", knot_curvature, knot_at.size);
-    take(arrays, "knots", knots, -1);
     take(arrays, "evading_positions", evading_positions, nv), take(arrays, "evading_slope", evading_slope, nv);
-    check_fit(size >= 1.0 && span >= 0.0 && span < size && knot_at.size % nv == 0);
-    check_fit((double)(knot_at.size / nv) * size == (double)knots.size);
+    check_fit(knot_at.size % nv == 0);
     const size_t own = (size_t)nv;
     next.resize(own), coming.resize(own), watch.resize((size_t)P), sharp.resize((size_t)P);
     build_survey(&survey, P, nv, clearances.data, at.data, reach.data, continuous.data, arm.data);
@@ -510,10 +507,9 @@ bool Nearby::crosses(Py_ssize_t k, const Arrival &to, double way) {
     return after < least || falls_below(k, to, least, {0.0, after}, {to.span, before}, way);
 }
 
-Py_ssize_t Nearby::stopping(Py_ssize_t place) {
-    const Py_ssize_t nv = joints, size = (Py_ssize_t)knot_numbers.data[0];
+Py_ssize_t Nearby::stopping(Py_ssize_t place, double span) {
+    const Py_ssize_t nv = joints;
     if (place < 0 || place >= knot_at.size / nv) throw nb::index_error("there is no such knot");
-    const double span = knots.data[place * size + (Py_ssize_t)knot_numbers.data[1]];
     const Arrival to = {knot_at.data + place * nv, knot_slope.data + place * nv, knot_curvature.data + place * nv, span};
     double *way = motion.anew();
     for (Py_ssize_t j = 0; j < nv; j++) way[j] = BENT_WAY * fabs((0.5 * span * to.curvature[j] - to.slope[j]) * span);

@@ -113,8 +113,8 @@ public:
     bool clear(bool blind, bool shorter);
     /* Raise lower bounds where the command leads closer than rows say; whether it does. */
     bool tightened();
-    /* The pair that stops the object between the knot before and the one at a place, -2 for none, -1 if that is not known. */
-    Py_ssize_t stopping(Py_ssize_t place);
+    /* The pair that stops the object between the knot at a place and the one before, a time `span` earlier, -2 for none, -1 if that is not known. */
+    Py_ssize_t stopping(Py_ssize_t place, double span);
     /* Look at all pairs where the joints start, before the first step. */
     void prepare();
     /* A piece of work ahead of need, if there is any, or a shorter one; whether there was. Ahead it is on the knot that is
@@ -181,7 +181,7 @@ private:
     In evading_positions; /* of a knot that is tried, or expected next */
     Out evading_slope;
     Evasion evasion;
-    In knots, knot_at, knot_slope, knot_curvature, knot_numbers; /* ahead */
+    In knot_at, knot_slope, knot_curvature; /* ahead */
     Survey survey;
     Way motion;                              /* in a step, or to a knot */
     std::vector<double> watch, next, coming; /* coming: motion of the joints to the next knot, as the last one had it */

@@ -88,7 +88,7 @@ static void preview_try(Core *c, double clock, int kept) {
     take_grasps(c);
     swap_grasps(c);
     const int head = kept ? place_of(c, kept) : 0;
-    *c->ahead = Ahead{};
+    *c->ahead = Ahead();
     c->ahead->head = head, c->ahead->kept = kept;
     c->ahead->free_until = -INFINITY;
     c->ahead->begin_at = INFINITY;

@@ -6,7 +6,7 @@
 #include <vector>
 
 #include "binding/arrays.h"
-#include "layout.h"
+#include "constants.h"
 #include "spatial.h"
 
 /* p = p_C + α e_0 + β e_1, R = R_C exp(α w_0) exp(β w_1); on a line α is the share of it, and β is 0. */

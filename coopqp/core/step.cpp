@@ -144,7 +144,7 @@ static void observe(Core *c, const double *q, const double *dt) {
     Proposal *p = c->proposal;
     double *positions = c->measured_positions;
     const double nominal = c->options->nominal_dt;
-    *p = Proposal{};
+    *p = Proposal();
     p->dt = nominal, p->watch_cap = 1.0, p->reason_arm = p->binding_row = p->cause.arm = p->cause.joint = -1.0;
     if (dt) {
         if (*dt >= c->options->dt_low * nominal && *dt <= c->options->dt_high * nominal)
@@ -629,8 +629,8 @@ static void write_bindings(Core *c, double *entries, int *position, int *acceler
     }
     if (!count && p->cause.kind != NONE) {
         const int own = p->cause.kind == CONSTRAINT;
-        const double cap[4] = {p->cause.kind, p->cause.arm, own ? -1.0 : p->cause.joint, own ? p->cause.joint : -1.0};
-        memcpy(entries, cap, sizeof cap);
+        entries[0] = p->cause.kind, entries[1] = p->cause.arm;
+        entries[own ? 2 : 3] = -1.0, entries[own ? 3 : 2] = p->cause.joint;
         count = 1;
     }
     *position = *acceleration = 0;
@@ -804,7 +804,7 @@ static void start_path(Core *c, double clock, double rate) {
 /* Start at rest at `positions`. */
 static void start(Core *c, const double *positions) {
     const double override = c->loop->overridden, pause = c->loop->pause; /* a start ends neither */
-    *c->loop = Loop{};
+    *c->loop = Loop();
     c->loop->overridden = override, c->loop->pause = pause;
     c->loop->ease = rate_asked(c) < c->options->blocked_rate ? 0.0 : 1.0;
     c->positions = Given(positions, c->joints);

@@ -257,7 +257,7 @@ static void count_far(Core *c, const Twists &away, const Twists &apart, const Tw
     unfiltered -= apart - out_of_step;
     const double limit = c->options->fault_from;
     const int far = largest_square(unfiltered) >= limit * limit;
-    c->watch->far_samples = far ? c->watch->far_samples + 1.0 : 0.0;
+    c->watch->far_samples = far ? c->watch->far_samples + 1 : 0;
 }
 
 static double own_distance(const Core *c, int k) { return c->deviation.col(k).norm(); }
@@ -326,8 +326,8 @@ static void remember(Core *c, const double *positions) {
     double *slot = c->history + 2 * joints * (size_t)w->past_head;
     memcpy(slot, positions, sizeof(double) * joints);
     memcpy(slot + joints, c->positions, sizeof(double) * joints);
-    w->past_head = w->past_head + 1.0 < c->past ? w->past_head + 1.0 : 0.0;
-    w->past_count = min_of(w->past_count + 1.0, c->past);
+    w->past_head = w->past_head + 1 < c->past ? w->past_head + 1 : 0;
+    w->past_count = std::min(w->past_count + 1, c->past);
 }
 
 /* The least of the largest motions that the joints of arm k were commanded to make in as many samples, now or up to LAG ago: one
@@ -674,7 +674,7 @@ static void watch_sample(Core *c, const double *positions, const double *q, cons
 }
 
 static void watch_reset(Core *c) {
-    *c->watch = Watch{};
+    *c->watch = Watch();
     c->watch->watch_rate = 1.0;
     c->watch->watch_arm = c->watch->behind = -1.0;
     c->watch->var_lag = LAG * LAG;

@@ -33,10 +33,10 @@ from typing import Any, final
 import numpy as np
 import pinocchio as pin
 
-from coopqp.control.core.force_memory import BY_RELEASE, gives_way, minding_scalars, minding_size, minding_views
+from coopqp.control.core.force_memory import gives_way, minding_scalars, minding_size, minding_views
 from coopqp.control.monitoring.stress import servo_wrenches
 from coopqp.core import _core
-from coopqp.core._core import LOOK_EVERY
+from coopqp.core._core import BY_RELEASE, LOOK_EVERY
 from coopqp.errors import InvalidInputError
 from coopqp.forces.force_options import ForceOptions
 from coopqp.forces.holding import Holding, Holds, Moved, SharesOf
@@ -95,7 +95,7 @@ class Relaxation:
         shares_of: s, share of each arm in the object's pose (N, 6) while some of them hold it (N,).
 
     Attributes:
-        memory: numbers of :data:`coopqp.core.layout.Minding`, and the vectors below.
+        memory: numbers of ``Minding`` in ``minding.h``, and the vectors below.
         scalars: the first of them by name.
         internal: internal wrenches of the arms on the object beside the squeeze that is asked for, filtered (N, 6)
             [N, N·m], in the object frame; the next step changes it in place.

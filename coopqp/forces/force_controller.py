@@ -12,7 +12,14 @@ import pinocchio as pin
 from coopqp.baselines.pseudo_inverse import PseudoInverseController
 from coopqp.checks import ArrayLike, as_options, as_scalar, require
 from coopqp.constraints.cause import Cause
-from coopqp.control.core.force_memory import (
+from coopqp.control.core.force_memory import squeezes
+from coopqp.control.interface import ControlStep, Status, amend, short_text
+from coopqp.control.lock import alone
+from coopqp.control.operator.calls import OperatorCalls
+from coopqp.control.operator.changes import Change
+from coopqp.control.operator.operator import Operator
+from coopqp.control.qp import QPController
+from coopqp.core._core import (
     BY_CONTACT,
     BY_FRICTION,
     BY_REACH,
@@ -24,17 +31,11 @@ from coopqp.control.core.force_memory import (
     NOTHING_MORE,
     PRESSING,
     RELAXING,
+    SAME_CLOCK,
     SENSOR_SILENT,
     SENSOR_WRONG,
-    squeezes,
+    STILL_OBJECT,
 )
-from coopqp.control.interface import ControlStep, Status, amend, short_text
-from coopqp.control.lock import alone
-from coopqp.control.operator.calls import OperatorCalls
-from coopqp.control.operator.changes import Change
-from coopqp.control.operator.operator import Operator
-from coopqp.control.qp import QPController
-from coopqp.core._core import SAME_CLOCK, STILL_OBJECT
 from coopqp.errors import InvalidInputError
 from coopqp.forces.admittance import Relaxation
 from coopqp.forces.force_options import ForceOptions
@@ -49,7 +50,7 @@ from coopqp.paths.moving_grasps import refuse_moving_holds
 from coopqp.paths.path import ObjectPath
 from coopqp.spatial import Array, Placement, as_placement
 
-#: Words for :data:`layout.STAGES`, in their order.
+#: Words for the stages, in their order.
 _STAGES = (
     "the sensors are compared with the servos",
     "the arms press each other a little, to learn how stiff they are and what the sensors read",

@@ -238,9 +238,8 @@ def rows_memory(nv: int, rows: int) -> dict[str, Any]:
     of_joints = ("positions", "command", "quiet_centre", "quiet_reach")
     of_joints += ("quiet_ahead_centre", "quiet_ahead_reach", "knot_positions", "knot_slope", "knot_curvature")
     of_joints += ("evading_positions", "evading_slope")
-    one = ("dt", "quiet_slack", "quiet_approach", "quiet_ahead_slack", "quiet_ahead_approach", "knots")
-    found = {name: np.zeros(sizes.get(name, 1 if name in one else nv)) for name in (*sizes, *of_joints, *one)}
-    return {**found, "knot_numbers": np.array([1.0, 0.0])}
+    one = ("dt", "quiet_slack", "quiet_approach", "quiet_ahead_slack", "quiet_ahead_approach")
+    return {name: np.zeros(sizes.get(name, 1 if name in one else nv)) for name in (*sizes, *of_joints, *one)}
 
 
 def max_of_two(scenario: Scenario, of_joints: Any) -> float:
@@ -399,9 +398,8 @@ def test_rows_in_memory_stop_the_object_at_the_knots_where_the_definition_does(l
         x = cell.positions(scenario.q_start) + rng.uniform(-0.5, 0.5, cell.nv)
         slope, curvature, span = rng.normal(size=cell.nv), 5.0 * rng.normal(size=cell.nv), rng.uniform(0.01, longest)
         memory["knot_positions"][:], memory["knot_slope"][:], memory["knot_curvature"][:] = x, slope, curvature
-        memory["knots"][:] = span
         label = definition.stopping_pair(Knot(0.0, CellState(cell, cell.configuration(x)), slope, curvature, span))
-        stopped.append((nearby.stopping(0) >= 0, label >= 0))
+        stopped.append((nearby.stopping(0, span) >= 0, label >= 0))
     core, by_definition = np.array(stopped).T
     np.testing.assert_array_equal(core, by_definition)
     assert 5 < core.sum() < 45
@@ -438,10 +436,10 @@ def test_arms_evade_in_memory_as_by_the_definition_whenever_distances_were_asked
 @pytest.mark.core
 def test_only_knots_that_exist_stop_the_object(lift: Scenario) -> None:
     nearby: Any = Clearance(scene_of(lift, margin=0.0)).in_memory(rows_memory(lift.cell.nv, 4), ahead=True)
-    nearby.stopping(0)
+    nearby.stopping(0, 0.0)
     for place in (-1, 1, 10**6):
         with pytest.raises(IndexError, match="no such knot"):
-            nearby.stopping(place)
+            nearby.stopping(place, 0.0)
 
 
 @pytest.mark.core

@@ -18,7 +18,7 @@ from coopqp import (
     SupervisionOptions,
 )
 from coopqp.control.step.decoding import CAUSES, cause_of
-from coopqp.core import layout
+from coopqp.core import _core
 from coopqp.scenarios import at_limit, at_singularity, paper_lift
 
 LIMIT, SINGULAR, NEAR, APART, REINS, JUMP = (
@@ -58,7 +58,7 @@ def test_status_reason_and_limits_make_the_cause(
 
 
 def test_every_reason_has_a_cause() -> None:
-    named = {name: CAUSES[code] for code, name in enumerate(layout.REASONS) if name != "NO_REASON"}
+    named = {name: CAUSES[code] for code, name in enumerate(_core.REASONS) if name != "NO_REASON"}
     inputs = {
         "BAD_DT", "NOT_FINITE", "OFF_CIRCLE", "JUMPED", "PATH_FAILED", "PATH_JUMPS", "LOOK_AHEAD_FAILED",
         "CONSTRAINT_FAILED", "OFF_WAY",

@@ -31,7 +31,7 @@ from coopqp.control.operator.trail import Trail
 from coopqp.control.step.contact import Contact, filter_time, handed
 from coopqp.control.step.decoding import reason
 from coopqp.control.step.start import check_start, held_command, rate_into, start_warning
-from coopqp.core import _core as constants, layout
+from coopqp.core import _core
 from coopqp.errors import StartWarning, StiffnessWarning
 from coopqp.model import CellState
 from coopqp.model.shapes import too_close
@@ -93,7 +93,7 @@ def test_a_change_of_motion_takes_as_long_as_the_joints_need(paper: Scenario, li
     speed = np.where(np.arange(18) == 4, np.inf, np.linspace(1.0, 3.0, 18))
     cell, dt = paper.cell.with_limits(acceleration=acceleration, velocity=speed), 0.01
     plan = PlanLimits.of(cell, PreviewOptions(), dt=dt)
-    usable, full = constants.CHANGE_SHARE * plan.acceleration, np.where(np.isfinite(speed), speed, 1.0)
+    usable, full = _core.CHANGE_SHARE * plan.acceleration, np.where(np.isfinite(speed), speed, 1.0)
     ramp = RampTime(cell, paper.grasp, None, dt=dt)
     np.testing.assert_allclose(ramp.stops, 0.0 if limited else full / usable)
     state, origin = CellState(cell, paper.q_start), paper.path.pose(0.0)
@@ -106,7 +106,7 @@ def test_a_change_of_motion_takes_as_long_as_the_joints_need(paper: Scenario, li
         jacobian[:3] += skew(state.T_world_tool[k].translation - origin.translation) @ jacobian[3:]
         times = ramp.at(paper.q_start, origin)[own] * usable[own][:, None]
         np.testing.assert_allclose(jacobian @ times, unit, atol=1e-9)
-    jump = constants.LARGEST_JUMP * full
+    jump = _core.LARGEST_JUMP * full
     assert ramp.admits(0.999 * jump)
     assert ramp.admits(-1.001 * jump) == limited
 
@@ -125,7 +125,7 @@ def test_wrenches_bend_the_servos_by_what_is_seen(shared: bool, rng: np.random.G
         whole[6 * k : 6 * (k + 1), 6 * k : 6 * (k + 1)] += own[k]
     if both is not None:
         np.testing.assert_allclose(whole_compliance(own, both), whole, atol=1e-12)
-    bent = ((whole + constants.STRUCTURE * np.eye(18)) @ wrenches.ravel()).reshape(3, 6)
+    bent = ((whole + _core.STRUCTURE * np.eye(18)) @ wrenches.ravel()).reshape(3, 6)
     np.testing.assert_allclose(servo_wrenches(own, bent, both), wrenches, atol=1e-9)
 
 
@@ -339,7 +339,7 @@ SAID = [
 def test_what_the_core_says_names_arm_joint_and_numbers(
     paper: Scenario, name: str, numbers: tuple[float, float, float], words: str
 ) -> None:
-    said = reason(paper.cell, 250.0, layout.REASONS.index(name), *numbers)
+    said = reason(paper.cell, 250.0, _core.REASONS.index(name), *numbers)
     assert said == words.replace("{joint}", paper.cell.joint_names[3])
 
 
@@ -349,6 +349,6 @@ def test_pairs_inside_their_margin_are_said_with_their_distance() -> None:
 
     assert too_close(()) == ""
     assert too_close((pair(0.0034),)) == "a and b are 3.4 mm from each other, inside their margin"
-    assert too_close((pair(constants.DEEPEST),)) == "a and b overlap"  # coal found no depth
+    assert too_close((pair(_core.DEEPEST),)) == "a and b overlap"  # coal found no depth
     assert too_close((pair(-0.0034),) * 2) == "a and b overlap by 3.4 mm, and 1 other pair"
     assert too_close((pair(0.0),) * 3) == "a and b are 0.0 mm from each other, inside their margin, and 2 other pairs"

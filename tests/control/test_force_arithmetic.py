@@ -13,13 +13,13 @@ from typing import Any
 
 import numpy as np
 import pytest
+from coopqp.core._core import CHECKING, MOVING, PRESSING, RELAXING
 
 from coopqp.control.core.force_memory import minding_scalars, minding_size, minding_views, squeezes
-from coopqp.core import _core, layout
+from coopqp.core import _core
 from coopqp.spatial import Array
 
 pytestmark = pytest.mark.core
-CHECKING, PRESSING, RELAXING, MOVING = range(4)
 KEPT = Path(__file__).with_name("kept") / "force_arithmetic.npz"
 #: After so small a time the arms hold until they are told to go on.
 UNTIL_TOLD = 1e-9
@@ -75,14 +75,30 @@ def felt(rng: np.random.Generator, arms: int, before: Array | None, load: Array)
     return wrenches
 
 
-def digest(memory: Array) -> float:
+#: All scalars.
+SCALARS = (
+    "wrench_filter", "dead_band", "relax_time", "drift_time", "ramp_time", "wrench_silence", "most_speed",
+    "most_spin", "most_reach", "most_turn", "wait", "move_below", "pressed_below", "force_slows", "force_holds",
+    "has_palms", "squeeze", "most_squeeze", "size", "stiffer", "relax_ease", "saturated", "stage", "since", "stepped",
+    "age", "asked", "force_cap", "last_rate", "last_speed", "at_end", "friction_used", "pressed_with", "needed",
+    "sensor_fault", "sensor_arm", "sensor_amount", "allowed", "why", "why_arm", "rigid", "weight_x", "weight_y",
+    "weight_z", "haste", "suspected", "servo_samples", "servo_noise", "corrects", "start_size", "way_done",
+    "load_mass", "contact_limit", "load_haste", "touches", "pushed", "sharpest", "asked_dt", "reference_dt",
+    "contact_late", "goes_on", "back_speed", "back_owed", "back_from", "backs", "load_speed", "look_at",
+)  # fmt: skip
+
+
+def digest(memory: Array, arms: int) -> float:
     """One number that changes with every number of the memory."""
-    weights = 1.0 + 0.5 * np.cos(1.7 * np.arange(len(memory)))
-    return float(weights @ np.nan_to_num(memory, nan=7.0, posinf=11.0, neginf=-13.0))
+    m = minding_scalars(memory)
+    vectors = (view.ravel() for view in minding_views(memory, arms).values())
+    numbers = np.concatenate([[float(getattr(m, name)) for name in SCALARS], *vectors])
+    weights = 1.0 + 0.5 * np.cos(1.7 * np.arange(len(numbers)))
+    return float(weights @ np.nan_to_num(numbers, nan=7.0, posinf=11.0, neginf=-13.0))
 
 
-def in_stage(stage: int) -> Iterator[tuple[Array, int]]:
-    """Memories after each relaxation and each allowance of 16 runs, and what was heard or why the object is slow."""
+def in_stage(stage: int) -> Iterator[tuple[Array, int, int]]:
+    """Memories and their arms, after each relaxation and allowance of 16 runs, and what was heard or why it is slow."""
     rng, dt = np.random.default_rng(10 + stage), 0.004
     for run in range(16):
         arms = 2 + run % 2
@@ -98,23 +114,27 @@ def in_stage(stage: int) -> Iterator[tuple[Array, int]]:
             x["reference"][9:] += way * dt
             pushed = push / np.linalg.norm(push) * (60.0 if 5 < i < 22 else 0.0)
             wrenches = felt(rng, arms, wrenches, -x["reference"][:9].reshape(3, 3).T @ pushed)
-            yield memory, _core.relax(memory, arms, wrenches, dt)
+            yield memory, arms, _core.relax(memory, arms, wrenches, dt)
             _core.allow(memory, arms, dt)
-            yield memory, int(minding_scalars(memory).why)
+            yield memory, arms, minding_scalars(memory).why
 
 
-def of_any_numbers(stage: int) -> Iterator[tuple[Array, int]]:
+def of_any_numbers(stage: int) -> Iterator[tuple[Array, int, int]]:
     """The same of memories of any numbers: dead bands, ends of the reach, palms, wrenches that do not come, faults."""
     for seed in range(30):
         rng, arms = np.random.default_rng(1000 * stage + seed), 1 + seed % 5
-        memory = rng.uniform(-1.0, 1.0, minding_size(arms))
-        memory[: layout.SIZES["Minding"]] = rng.uniform(0.05, 2.0, layout.SIZES["Minding"])
+        memory = np.zeros(minding_size(arms))
         m, x = minding_scalars(memory), minding_views(memory, arms)
+        drawn = rng.uniform(-1.0, 1.0, len(SCALARS) + sum(view.size for view in x.values()))[len(SCALARS) :]
+        for view in x.values():
+            view.ravel()[:], drawn = drawn[: view.size], drawn[view.size :]
+        for name, value in zip(SCALARS, rng.uniform(0.05, 2.0, len(SCALARS)), strict=True):
+            setattr(m, name, value)
         for name, value in {
             "most_reach": m.most_reach * 10.0 ** rng.integers(-2, 2), "force_slows": 0.5,
             "force_holds": rng.choice([1.0, 50.0]), "saturated": 0.0, "stepped": rng.random() < 0.9, "stage": stage,
             "has_palms": rng.random() < 0.5, "sensor_arm": 0.0,
-            "sensor_fault": rng.choice([0, 0, 0, 0, layout.SENSORS.index("SENSOR_WRONG")]), "force_cap": rng.random(),
+            "sensor_fault": rng.choice([0, 0, 0, 0, _core.SENSOR_WRONG]), "force_cap": rng.random(),
             "wait": rng.choice([0.15, 10.0]), "why": 0.0, "why_arm": 0.0, "most_squeeze": rng.choice([0.0, 30.0]),
         }.items():  # fmt: skip
             setattr(m, name, value)
@@ -127,18 +147,18 @@ def of_any_numbers(stage: int) -> Iterator[tuple[Array, int]]:
             wrenches = rng.normal(size=(arms, 6)) * 10.0 ** rng.integers(-2, 2)
             wrenches[:, 2] += rng.choice([0.0, 5.0])
             wrenches[rng.random(arms) < 0.3, rng.integers(6)] = np.nan
-            yield memory, _core.relax(memory, arms, None if rng.random() < 0.1 else wrenches, 0.1)
+            yield memory, arms, _core.relax(memory, arms, None if rng.random() < 0.1 else wrenches, 0.1)
             _core.allow(memory, arms, 0.1)
-            yield memory, int(m.why)
+            yield memory, arms, m.why
             m.last_rate = rng.random()
 
 
-RUNS: dict[str, Callable[[int], Iterator[tuple[Array, int]]]] = {"runs": in_stage, "any": of_any_numbers}
+RUNS: dict[str, Callable[[int], Iterator[tuple[Array, int, int]]]] = {"runs": in_stage, "any": of_any_numbers}
 
 
 def found(kind: str, stage: int) -> Array:
     """Digests and codes (K, 2)."""
-    return np.array([(digest(memory), code) for memory, code in RUNS[kind](stage)])
+    return np.array([(digest(memory, arms), code) for memory, arms, code in RUNS[kind](stage)])
 
 
 @pytest.mark.parametrize("stage", [CHECKING, PRESSING, RELAXING, MOVING])
@@ -148,9 +168,8 @@ def test_forces_relax_and_allow_rates_as_recorded(kind: str, stage: int) -> None
     np.testing.assert_array_equal(numbers[:, 1], expected[:, 1])
     np.testing.assert_allclose(numbers[:, 0], expected[:, 0], rtol=1e-9, atol=1e-9)
     if kind == "runs":
-        whys = {layout.WHYS[int(code)] for code in numbers[1::2, 1]}
-        moving = {"BY_CONTACT", "BY_REACH", "BY_FRICTION", "BY_FORCE", "NOTHING_MORE"}
-        assert whys >= {"BY_SENSOR", *(moving if stage == MOVING else {"BY_STAGE"})}
+        moving = {_core.BY_CONTACT, _core.BY_REACH, _core.BY_FRICTION, _core.BY_FORCE, _core.NOTHING_MORE}
+        assert {*numbers[1::2, 1]} >= {_core.BY_SENSOR, *(moving if stage == MOVING else {_core.BY_STAGE})}
 
 
 def test_arms_squeeze_where_they_press_more_while_they_relax_than_at_the_start() -> None:
@@ -196,7 +215,7 @@ def test_friction_in_use_slows_the_object_from_nine_tenths_on(used: float, allow
     m = minding_scalars(memory)
     assert m.friction_used == pytest.approx(used)
     assert m.allowed == pytest.approx(allowed)
-    assert layout.WHYS[int(m.why)] == ("BY_FRICTION" if used > 0.9 else "NOTHING_MORE")
+    assert m.why == (_core.BY_FRICTION if used > 0.9 else _core.NOTHING_MORE)
     assert used < 0.9 or m.why_arm == 1
 
 
@@ -205,7 +224,7 @@ def test_what_pushes_no_harder_than_the_arms_do_each_other_is_no_contact(share: 
     """20 N on the object, of which one arm has a share: a contact is 1.2 times as hard as any internal force."""
     memory = anyhow(
         np.random.default_rng(0), 2, stage=MOVING, contact_limit=10.0, touches=0.0, suspected=0.0, load_mass=0.0,
-        weight_x=0.0, weight_y=0.0, weight_z=0.0, sensor_fault=layout.SENSORS.index("SENSORS_FINE"), last_speed=0.0,
+        weight_x=0.0, weight_y=0.0, weight_z=0.0, sensor_fault=_core.SENSORS_FINE, last_speed=0.0,
     )  # fmt: skip
     x = minding_views(memory, 2)
     x["holding"][:], x["target"][:], x["internal_of"][:], x["unfed_of"][:] = 1.0, 0.0, np.eye(12), np.eye(12)
@@ -228,7 +247,7 @@ def test_an_object_begins_the_slower_the_less_its_servos_are_as_told() -> None:
         memory = anyhow(
             np.random.default_rng(0), 2, stage=RELAXING, has_palms=palms, stiffer=stiffer, force_cap=1.0, since=0.02,
             wait=0.02, move_below=30.0, pressed_below=30.0, contact_limit=math.inf,
-            sensor_fault=layout.SENSORS.index("SENSORS_FINE"),
+            sensor_fault=_core.SENSORS_FINE,
         )  # fmt: skip
         _core.relax(memory, 2, np.zeros((2, 6)), 0.004)
         m = minding_scalars(memory)

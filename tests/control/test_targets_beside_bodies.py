@@ -91,8 +91,8 @@ def test_the_core_stops_the_object_at_the_knots_where_the_definition_does(make: 
         definition.check(controller.commanded)
         nv = loop.cell.nv
 
-        def both(slot: int) -> int:
-            found, numbers = core(slot), loop._memory.knots[slot]
+        def both(slot: int, span: float) -> int:
+            found, numbers = core(slot, span), loop._core.knot(slot)
             x, slope, curvature = (
                 loop.at[f"knot_{name}"][nv * slot : nv * slot + nv].copy()
                 for name in ("positions", "slope", "curvature")
@@ -135,9 +135,9 @@ def test_a_command_that_joints_forbid_looks_at_few_knots() -> None:
         core, operator = clearance._native[1].stopping, controller._operator
         attempt, asked = operator.attempt, [0]
 
-        def counted(slot: int) -> int:
+        def counted(slot: int, span: float) -> int:
             asked[0] += 1
-            return core(slot)
+            return core(slot, span)
 
         def attempts() -> None:
             asked[0] = 0

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import dataclasses
 import gc
+import re
 import weakref
 from collections.abc import Callable, Iterator
 from typing import Any
@@ -15,6 +16,7 @@ import numpy as np
 import pinocchio as pin
 import pytest
 from marks import slow_but_first
+from places import ROOT
 from runs import limited
 
 from coopqp import (
@@ -30,7 +32,7 @@ from coopqp import (
 from coopqp.control.core.loop import CoreLoop
 from coopqp.control.step import decoding
 from coopqp.control.step.constraint_set import Constraints
-from coopqp.core import _core as native, layout
+from coopqp.core import _core as native
 from coopqp.model import CellState
 from coopqp.model.chain import moving_columns
 from coopqp.scenarios import Scenario, at_limit, dual_arm7, mixed_cell, paper_lift, ring
@@ -41,7 +43,7 @@ pytestmark = pytest.mark.core
 
 #: The one that this processor runs, and the one that any can.
 ARITHMETICS = ("auto", "plain")
-NOMINAL, RAY, QP, ASK = range(len(layout.OUTCOMES))
+NOMINAL, RAY, QP, ASK = range(len(native.OUTCOMES))
 SCENARIOS = [paper_lift, dual_arm7, mixed_cell, at_limit]
 
 
@@ -259,28 +261,40 @@ def test_a_singular_arm_is_answered_within_its_limits(
 
 #: What the core counts with: whole numbers, which only its own code writes.
 COUNTS = {
-    "arm_group", "q_index", "continuous", "bounds", "history", "ahead", "lost",
-    "options/newton_steps", "options/stall_samples", "options/own_solver",
-    "loop/fault", "loop/fault_arm", "watch/watch_arm", "watch/past_count", "watch/past_head", "watch/behind",
-    "knots/limit",
+    "arm_group", "q_index", "continuous", "history", "ahead", "lost", "travels",
 }  # fmt: skip
-#: Fields whose entries have names.
-NAMED = {"options": layout.Options, "loop": layout.Loop, "watch": layout.Watch, "knots": layout.Knot}
+HEADER = (ROOT / "coopqp" / "core" / "memory.h").read_text(encoding="utf-8")
+#: Fields by their blocks, in their order.
+BLOCKS = {
+    block: re.findall(r"^    FIELD\([\w *]+, (\w+),", fields, re.MULTILINE)
+    for block, fields in re.findall(r"^#define (\w+)_FIELDS\(FIELD\)(.*?)\n\n", HEADER, re.MULTILINE | re.DOTALL)
+}
+
+
+def numbers_of(struct: str) -> list[str]:
+    """The members of a struct that are numbers, which come first."""
+    body = re.sub(r"/\*.*?\*/", "", HEADER.partition(f"struct {struct} {{")[2].partition("\n};")[0], flags=re.DOTALL)
+    lines = re.findall(r"^ *(\w+) (.*?);", body, re.MULTILINE)
+    assert [kind for kind, _ in lines] == sorted((kind for kind, _ in lines), key=lambda kind: kind != "double")
+    return [name for kind, names in lines if kind == "double" for name in names.split(", ")]
+
+
+#: Fields that are structs, or many.
+NAMED = {"options": "Options", "loop": "Loop", "watch": "Watch", "knots": "Knot"}
 
 
 def places() -> Iterator[str]:
     """Every field of the constants and of the state, and every entry with a name."""
-    for name, _ in (*layout.CONFIG, *layout.STATE):
-        for place in [f"{name}/{entry}" for entry, _ in NAMED[name]._fields_] if name in NAMED else [name]:
-            if place not in COUNTS:
-                yield place
+    for name in (*BLOCKS["CONFIG"], *BLOCKS["STATE"]):
+        if name not in COUNTS:
+            yield from [f"{name}/{number}" for number in numbers_of(NAMED[name])] if name in NAMED else [name]
 
 
 def fill(loop: Any, place: str, value: float) -> None:
     name, _, entry = place.partition("/")
     if entry:
-        member, kind = getattr(NAMED[name], entry), layout.SIZES[NAMED[name].__name__]
-        loop.at[name].reshape(-1, kind)[:, member.offset // 8 : (member.offset + member.size) // 8] = value
+        count = loop.at["knot_positions"].size // loop.cell.nv if name == "knots" else 1
+        loop.at[name].reshape(count, -1)[:, numbers_of(NAMED[name]).index(entry)] = value
     else:
         loop.at[name][:] = value
 
@@ -335,6 +349,8 @@ def test_a_measurement_that_is_none_holds(value: float, paper: Scenario) -> None
 # -- memory and arguments ----------------------------------------------------------------------------------------------
 
 
+#: Single numbers that rows of constraints read, and the structs that have them.
+SINGLE = {"dt": "proposal", "quiet_slack": "loop", "quiet_approach": "loop", "quiet_ahead_slack": "loop"}
 #: Arguments of a Core: arrays of the arms and the joints, then sizes.
 Built = tuple[Any, ...]
 
@@ -352,7 +368,7 @@ def core_with(arguments: Built, loop: Any) -> Any:
     """A core with the constants of a loop."""
     core = native.Core(*arguments)
     fields = core.fields()
-    for name, _ in layout.CONFIG:
+    for name in BLOCKS["CONFIG"]:
         fields[name][:] = loop.at[name]
     return core
 
@@ -406,14 +422,16 @@ def test_sizes_that_do_not_fit_are_refused(paper: Scenario) -> None:
 def test_fields_are_zero_at_first_and_do_not_overlap(paper: Scenario) -> None:
     fields = native.Core(*built(loop_of(paper))).fields()
     state = fields.pop("state")
+    for name, struct in SINGLE.items():
+        assert np.shares_memory(fields.pop(name), fields[struct])
     given = ("arm_group", "q_index", "continuous")
     assert not any(array.any() for name, array in fields.items() if name not in given)
-    assert [*fields] == [name for block in layout.BLOCKS.values() for name, _ in block]
+    assert [*fields] == [name for block in BLOCKS.values() for name in block]
     for i, array in enumerate(fields.values()):
         array[:] = i
     assert all((array == i).all() for i, array in enumerate(fields.values()))
-    assert all(np.shares_memory(fields[name], state) == (block == "STATE") for block in layout.BLOCKS for name, _ in
-               layout.BLOCKS[block] if fields[name].size)  # fmt: skip
+    for block, names in BLOCKS.items():
+        assert all(np.shares_memory(fields[name], state) == (block == "STATE") for name in names if fields[name].size)
 
 
 @pytest.mark.parametrize("make", [paper_lift, dual_arm7, lambda: ring(arms=5)])
@@ -586,7 +604,7 @@ def test_memory_lives_as_long_as_its_core_or_a_view(paper: Scenario) -> None:
     [np.full(100_000, np.nan) for _ in range(20)]  # would be written over what is free
     records = [core.step(None, None) for _ in range(5)]
     assert all(isinstance(record, bytes) for record in records)
-    first = layout.SIZES["Record"]
+    first = native.Record.NUMBERS
     assert all(np.isfinite(np.frombuffer(record)[first : first + 54]).all() for record in records)
     kept = view.copy()
     del core

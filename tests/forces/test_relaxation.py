@@ -8,9 +8,10 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 import pytest
+from coopqp.core._core import BY_RELEASE, NOTHING_MORE
 
 from coopqp import ForceController, ForceOptions, Grasp, InvalidInputError, QPController, Status, inverse_kinematics
-from coopqp.control.core.force_memory import BY_RELEASE, NOTHING_MORE, minding_views
+from coopqp.control.core.force_memory import minding_views
 from coopqp.forces import Grip, internal_wrenches
 from coopqp.forces.admittance import Relaxation
 from coopqp.forces.holding import Holding, bearing

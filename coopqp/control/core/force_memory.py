@@ -5,13 +5,9 @@ from __future__ import annotations
 import math
 from typing import Any
 
-from coopqp.core import layout
+from coopqp.core import _core
+from coopqp.core._core import RELAXING, SENSORS_FINE
 from coopqp.spatial import Array
-
-HEARD, MISSED, SILENT = range(len(layout.HEARING))
-CHECKING, PRESSING, RELAXING, MOVING = range(len(layout.STAGES))
-SENSORS_FINE, SENSOR_SILENT, SENSOR_WRONG = range(len(layout.SENSORS))
-NOTHING_MORE, BY_SENSOR, BY_REACH, BY_STAGE, BY_FRICTION, BY_FORCE, BY_CONTACT, BY_RELEASE = range(len(layout.WHYS))
 
 #: Arms that relax hold where they squeeze by this multiple of the force at the start.
 _MORE_THAN_AT_START = 1.1
@@ -19,12 +15,12 @@ _MORE_THAN_AT_START = 1.1
 
 def minding_scalars(memory: Array) -> Any:
     """The scalars of the memory, by name."""
-    return layout.Minding.from_buffer(memory)
+    return _core.Minding.of(memory)
 
 
 def minding_views(memory: Array, arms: int) -> dict[str, Array]:
     """The parts of the memory behind its scalars, by name; :mod:`coopqp.forces.frictional_contacts` has ``palms``."""
-    n, views, at = 6 * arms, {}, layout.SIZES["Minding"]
+    n, views, at = 6 * arms, {}, _core.Minding.NUMBERS
     shapes: tuple[tuple[str, tuple[int, ...]], ...] = (
         ("silent", (arms,)), ("seen", (arms, 6)), ("internal", (arms, 6)), ("shift", (arms, 6)), ("drift", (arms, 6)),
         ("target", (arms, 6)), ("squeezed", (arms, 6)),
@@ -43,7 +39,8 @@ def minding_views(memory: Array, arms: int) -> dict[str, Array]:
 
 def minding_size(arms: int) -> int:
     """Size of the memory for a number of arms."""
-    return layout.SIZES["Minding"] + 39 + (94 + 48) * arms + 144 * arms**2
+    size: int = _core.Minding.size_for(arms)
+    return size
 
 
 def gives_way(m: Any) -> bool:

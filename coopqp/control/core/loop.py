@@ -6,6 +6,7 @@ may bind that Python has not given yet.
 
 from __future__ import annotations
 
+import copy
 import functools
 import math
 from collections.abc import Callable
@@ -28,7 +29,7 @@ from coopqp.control.step.contact import Contact, filter_time, handed
 from coopqp.control.step.decoding import STATUSES, RecordReader, unsolved
 from coopqp.control.step.other_solver import StepSolver
 from coopqp.control.step.velocity_bounds import VelocityBox
-from coopqp.core import layout
+from coopqp.core import _core
 from coopqp.core._core import MOST_MINDING, MOST_TIGHTENINGS, SAME_CLOCK, SEGMENT
 from coopqp.errors import InvalidInputError
 from coopqp.model.cell import RobotCell
@@ -43,10 +44,10 @@ from coopqp.paths.shifted import unshifted
 from coopqp.spatial import Array
 
 _NOT_FINITE, _PATH_FAILED, _LOOK_AHEAD_FAILED, _CONSTRAINT_FAILED = (
-    layout.REASONS.index(name) for name in ("NOT_FINITE", "PATH_FAILED", "LOOK_AHEAD_FAILED", "CONSTRAINT_FAILED")
+    _core.REASONS.index(name) for name in ("NOT_FINITE", "PATH_FAILED", "LOOK_AHEAD_FAILED", "CONSTRAINT_FAILED")
 )
 _NO_SHIFTS = np.zeros(0)
-_ASK = layout.OUTCOMES.index("ASK")
+_ASK = _core.OUTCOMES.index("ASK")
 
 
 @final
@@ -250,13 +251,13 @@ class CoreLoop:
     def look_ahead_again(self, rate: float | None = None) -> None:
         """The path ahead has changed; the object moves along it at a rate."""
         loop = self._loop
-        kept = layout.Loop.from_buffer_copy(loop)
+        kept = copy.copy(loop)
         if rate is not None:
             kept.rate, kept.rate_slope = rate, 0.0
         self.take_path()
         self._core.start_path(kept.clock, kept.rate)
         kept.quiet_ahead = loop.quiet_ahead
-        self.at["loop"][:] = np.frombuffer(kept)
+        self._loop.assign(kept)
 
     def retarget_motion(self, path: ServoPath, goal: pin.SE3, rate: float) -> bool | None:
         """Take the way to a new target as :class:`coopqp.QPController` does; None where an attempt has to say."""
@@ -280,13 +281,13 @@ class CoreLoop:
             return 0
         if self._knows_bodies:
             return -1
-        kept = layout.Loop.from_buffer_copy(self._loop)
+        kept = copy.copy(self._loop)
         self._core.observe(None, None)
         rows = self._put_rows()
         failed = bool(self._said)
         self._said.clear()
         kept.quiet_slack, kept.quiet_approach = self._loop.quiet_slack, self._loop.quiet_approach
-        self.at["loop"][:] = np.frombuffer(kept)
+        self._loop.assign(kept)
         return None if failed else rows
 
     def keep_travels(self, stride: int, *, anew: bool) -> None:
@@ -389,7 +390,7 @@ class CoreLoop:
 
         A constraint that fails makes the cap NaN.
         """
-        at, nv, numbers = self.at, self.cell.nv, self._memory.knots[slot]
+        at, nv, numbers = self.at, self.cell.nv, self._core.knot(slot)
         vectors = slice(nv * slot, nv * slot + nv)
         q = self.cell.configuration_of(at["knot_positions"][vectors])
         slope, curvature = (at[f"knot_{name}"][vectors].copy() for name in ("slope", "curvature"))
@@ -406,10 +407,11 @@ class CoreLoop:
             numbers.cap = math.nan
             return self._cannot_say(str(trouble))
         if not found.cap > 0.0:
-            numbers.limit.joint = found.which
+            numbers.limit_by(found.which)
             return False
         if found.cap < numbers.cap:
-            numbers.cap, numbers.limit = found.cap, (layout.KINDS.index("CONSTRAINT"), -1, found.which)
+            numbers.cap = found.cap
+            numbers.limit_by(found.which)
         numbers.fall, numbers.rise = found.decrease, found.rise
         return True
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from typing import Any, final
+from typing import final
 
 import numpy as np
 
@@ -13,12 +13,11 @@ from coopqp.control.monitoring.options import SupervisionOptions
 from coopqp.control.options import QPOptions
 from coopqp.control.step.other_solver import CALM
 from coopqp.control.step.velocity_bounds import VelocityBox
-from coopqp.core import _core as native, layout
+from coopqp.core import _core
 from coopqp.core._core import (
     LAG,
     LARGEST_MOVE,
     MOST_GROUP_JOINTS,
-    MOST_KNOTS,
     MOST_SHARING,
 )
 from coopqp.errors import ModelError
@@ -57,31 +56,14 @@ class Memory:
         for i, arms in enumerate(cell.groups):
             groups[list(arms)] = i
         joints = (np.array(x, dtype=float) for x in (moves.ravel(), groups, cell.position_index, cell.continuous))
-        self.core: Any = native.Core(*joints, cell.nq, unknowns, past, MOST_ROWS, plain)
-        self.at: dict[str, Array] = self.core.fields()
-        self.options, self.loop, self.travels, self.proposal = (
-            layout.STRUCTS[name.capitalize()].from_buffer(self.at[name])
-            for name in ("options", "loop", "travels", "proposal")
-        )
-        self.knots = (layout.Knot * MOST_KNOTS).from_buffer(self.at["knots"])
+        core = self.core = _core.Core(*joints, cell.nq, unknowns, past, MOST_ROWS, plain)
+        self.at: dict[str, Array] = core.fields()
+        self.options, self.loop, self.travels, self.proposal = core.options, core.loop, core.travels, core.proposal
 
     def of_rows(self) -> dict[str, Array]:
         """Inputs of further rows, and the places of the rows and of their quiet regions."""
-        at, own = self.at, ("positions", "command", "quiet_centre", "quiet_reach")
-        found = {name: at[name] for name in own} | {name: at[f"further_{name}"] for name in ("lower", "upper", "soft")}
-
-        def number(struct: Any, member: str) -> Array:
-            return np.frombuffer(struct, count=1, offset=getattr(type(struct), member).offset)
-
-        return found | {
-            "G": at["further"], "owner": at["further_owner"], "dt": number(self.proposal, "dt"),
-            "quiet_slack": number(self.loop, "quiet_slack"), "quiet_approach": number(self.loop, "quiet_approach"),
-            **{name: at[name] for name in ("quiet_ahead_centre", "quiet_ahead_reach", "knots")},
-            **{name: at[name] for name in ("evading_positions", "evading_slope")},
-            **{f"knot_{name}": at[f"knot_{name}"] for name in ("positions", "slope", "curvature")},
-            "quiet_ahead_slack": number(self.loop, "quiet_ahead"), "quiet_ahead_approach": np.zeros(1),
-            "knot_numbers": np.array([layout.SIZES["Knot"], layout.Knot.span.offset / 8]),
-        }  # fmt: skip
+        renamed = {name: self.at[f"further_{name}"] for name in ("lower", "upper", "soft", "owner")}
+        return self.at | renamed | {"G": self.at["further"], "quiet_ahead_approach": np.zeros(1)}
 
 
 def build_memory(
@@ -122,8 +104,8 @@ def put_options(memory: Memory, chain: Chain, box: VelocityBox, o: QPOptions, dt
     plan = PlanLimits.of(chain.cell, p or PreviewOptions(), dt=dt)
     at["plan_acceleration"][:] = plan.acceleration  # the way to a new target keeps to them without a preview, too
     for source in (o, o.posture, s) if p is None else (o, o.posture, s, p):
-        for name in layout.members(numbers) & vars(source).keys():  # many have the core's names
-            if isinstance(value := getattr(source, name), (int, float)):
+        for name, value in vars(source).items():  # many have the core's names
+            if isinstance(value, (int, float)) and hasattr(numbers, name):
                 setattr(numbers, name, value)
     slope = (p or PreviewOptions()).slope(accelerates=box.accelerates, dt=dt)
     values: dict[str, float] = {

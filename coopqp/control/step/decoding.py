@@ -11,7 +11,7 @@ from coopqp.control.interface import NO_SOLVE, NOTHING, GivenUp, SolverReport, S
 from coopqp.control.monitoring.options import SupervisionOptions
 from coopqp.control.operator.way import Way
 from coopqp.control.step.constraint_set import Constraints
-from coopqp.core import layout
+from coopqp.core import _core
 from coopqp.model.cell import RobotCell
 from coopqp.model.chain import moving_columns
 from coopqp.model.grasp import Grasp
@@ -20,8 +20,8 @@ from coopqp.model.shapes import NearPair, too_close
 from coopqp.paths.guarded import jump
 from coopqp.spatial import Array
 
-_KINDS = {code: LimitKind[name] for code, name in enumerate(layout.KINDS) if name != "NONE"}
-_REASONS = {name: code for code, name in enumerate(layout.REASONS)}
+_KINDS = {code: LimitKind[name] for code, name in enumerate(_core.LIMIT_KINDS) if name != "NONE"}
+_REASONS = {name: code for code, name in enumerate(_core.REASONS)}
 #: Causes of reasons, by their codes: the arms, nothing that slows, or an input that cannot be used.
 _BY_ARMS = (
     "OUT_OF_STEP_BY", "WAS_OUT_OF_STEP", "STALLED", "ALL_STALLED", "FORCE", "HANGS_BEHIND", "OFF_SERVOS", "OFF_LAG",
@@ -33,7 +33,7 @@ CAUSES = {code: Cause.TRACKING if name in _BY_ARMS else Cause.INPUT for name, co
     _REASONS["CHAIN_PARTED"]: Cause.COMMANDED_CHAIN,
     _REASONS["UNSOLVED"]: Cause.SOLVER,
 }
-STATUSES = tuple(Status[name.replace("FAULTED", "FAULT")] for name in layout.STATUSES)
+STATUSES = tuple(Status[name.replace("FAULTED", "FAULT")] for name in _core.STATUSES)
 
 
 @final
@@ -72,15 +72,14 @@ class RecordReader:
             cell.arm_names[k] for k, columns in enumerate(moving_columns(cell)) if len(columns) < 6
         )
         self._force_limit, self._dt_range = supervision.force_limit, [share * dt for share in supervision.dt_range]
-        self._q = layout.SIZES["Record"]
+        record = _core.Record
+        self._q: int = record.NUMBERS
         velocity = self._q + cell.nq
         q_next = velocity + cell.nv
         self._off_path = q_next + cell.nq
         self.nq, self.nv = cell.nq, cell.nv
         self.q_at, self.velocity_at, self.q_next_at = 8 * self._q, 8 * velocity, 8 * q_next
-        self.dt_at, self.clock_at, self.clock_next_at = (
-            getattr(layout.Record, name).offset for name in ("dt", "clock", "clock_next")
-        )
+        self.dt_at, self.clock_at, self.clock_next_at = record.dt_at, record.clock_at, record.clock_next_at
 
     def read(self, record: bytes, name: str) -> Any:
         """Value of the attribute ``name`` of :class:`coopqp.ControlStep`."""
@@ -90,7 +89,7 @@ class RecordReader:
             return 0.0
         if name == "sense":
             return self.way.sense
-        return getattr(self, f"_read_{name}")(layout.Record.from_buffer_copy(record), np.frombuffer(record))
+        return getattr(self, f"_read_{name}")(_core.Record.of(record), np.frombuffer(record))
 
     def _read_reason(self, s: Any, r: Array) -> str:
         distance, angle = s.away, s.turned
@@ -152,7 +151,7 @@ class RecordReader:
         )
 
     def _read_solver(self, s: Any, r: Array) -> SolverReport:
-        if s.outcome != layout.OUTCOMES.index("QP"):
+        if s.outcome != _core.OUTCOMES.index("QP"):
             return NO_SOLVE
         return SolverReport(self._solver, "solved", int(s.iterations))
 
@@ -195,7 +194,7 @@ _SENTENCES = {
 
 
 def reason(cell: RobotCell, force_limit: float, code: int, index: float, a: float, b: float) -> str:
-    """The sentence of a reason of :data:`layout.REASONS`."""
+    """The sentence of a reason of :data:`_core.REASONS`."""
     if code == _REASONS["PATH_JUMPS"]:
         return jump(b, a)
     if code == _REASONS["OFF_WAY"]:
@@ -207,7 +206,7 @@ def reason(cell: RobotCell, force_limit: float, code: int, index: float, a: floa
         return _unmeasured(cell, i)
     arm, joint = (names[i] if i < len(names) else "" for names in (cell.arm_names, cell.joint_names))
     words = {"arm": arm, "joint": joint, "other": cell.arm_names[other], "limit": force_limit}
-    return _SENTENCES[layout.REASONS[code]].format(i=i, next=i + 1, a=a, b=b, mm=1e3 * a, **words)
+    return _SENTENCES[_core.REASONS[code]].format(i=i, next=i + 1, a=a, b=b, mm=1e3 * a, **words)
 
 
 def _unmeasured(cell: RobotCell, i: int) -> str:

@@ -74,5 +74,6 @@ void bind_edges(nb::module_ &m);
 void bind_rounded(nb::module_ &m);
 void bind_clock(nb::module_ &m);
 void bind_constants(nb::module_ &m);
+void bind_structs(nb::module_ &m);
 
 #endif

@@ -12,4 +12,5 @@ NB_MODULE(_core, m) {
     bind_rounded(m);
     bind_clock(m);
     bind_constants(m);
+    bind_structs(m);
 }

@@ -101,7 +101,7 @@ static void lay_out(BoundCore *self) {
     CONFIG_FIELDS(PLACE) STATE_FIELDS(PLACE) WORK_FIELDS(PLACE)
 }
 
-/* A view of each field, and of all that is the state. */
+/* A view of each field, of all that is the state, and of single numbers that rows of constraints need. */
 static nb::dict fields_of(const BoundCore &self) {
     nb::dict found;
     const auto add = [&](const Field &field) {
@@ -110,7 +110,18 @@ static nb::dict fields_of(const BoundCore &self) {
     };
     for (const Field &field : self.fields) add(field);
     add(self.state_block);
+    const auto add_one = [&](const char *name, const double &number) {
+        add({name, (size_t)(&number - self.memory), 1});
+    };
+    add_one("dt", self.proposal->dt), add_one("quiet_slack", self.loop->quiet_slack);
+    add_one("quiet_approach", self.loop->quiet_approach), add_one("quiet_ahead_slack", self.loop->quiet_ahead);
     return found;
+}
+
+/* A struct of the memory, which it keeps. */
+template <typename S>
+static nb::object part_of(const BoundCore &self, S *part) {
+    return nb::cast(part, nb::rv_policy::reference_internal, self.owner);
 }
 
 /* Take the joints that move the tool of arm k, in the order of their numbers, which is that from the base on: whether each does,
@@ -262,10 +273,10 @@ static int bound_knot(Core *c, int slot) {
     c->knot_asked = 1;
     if (!bound(c)->objects[STOPPING]) return filled_in(c, BOUND_KNOT, slot);
     bound(c)->guard(false);
-    const long label = asked(bound(c), STOPPING, false, slot);
+    const long label = asked(bound(c), STOPPING, false, slot, c->knots[slot].span);
     bound(c)->guard(true);
     if (label == -1) return filled_in(c, BOUND_KNOT, slot);
-    if (label >= 0) c->knots[slot].limit.joint = (double)label;
+    if (label >= 0) c->knots[slot].limit.joint = (int)label;
     return label < 0;
 }
 
@@ -604,6 +615,14 @@ void bind_step(nb::module_ &m) {
     nb::class_<BoundCore>(m, "Core", nb::type_slots(slots), "The compiled step, and its memory.")
         .def("__init__", build)
         .def("fields", fields_of)
+        .def_prop_ro("options", [](BoundCore &self) { return part_of(self, self.options); })
+        .def_prop_ro("loop", [](BoundCore &self) { return part_of(self, self.loop); })
+        .def_prop_ro("travels", [](BoundCore &self) { return part_of(self, self.travels); })
+        .def_prop_ro("proposal", [](BoundCore &self) { return part_of(self, self.proposal); })
+        .def("knot", [](BoundCore &self, int slot) {
+            check_fit(slot >= 0 && slot < MOST_KNOTS, "there is no such grid point");
+            return part_of(self, self.knots + slot);
+        })
         .def("bind", bind)
         .def("step", step) /* observe, propose, commit; None if the answer is open */
         .def_rw("looks_in", &BoundCore::looks_in)
