@@ -37,7 +37,7 @@ _DECLARES = re.compile(
 )
 #: Files that are compiled by themselves; they include the others.
 SOURCES = (
-    "binding/module.cpp", "binding/constants.cpp", "binding/step.cpp", "binding/kinematics.cpp",
+    "binding/module.cpp", "binding/constants.cpp", "binding/structs.cpp", "binding/step.cpp", "binding/kinematics.cpp",
     "binding/distances.cpp", "nearby.cpp",
     "evasion.cpp", "edges.cpp", "limited_clock.cpp", "rounded.cpp", "unit.cpp", "values.cpp",
 )  # fmt: skip
