@@ -222,7 +222,7 @@ def test_one_stiffness_is_no_stiffness_of_joints_that_turn_and_joints_that_slide
     [
         ("QPOptions: grasp_gain: -3 is outside", "controller: grasp_gain: -3 is outside"),
         ("SupervisionOptions: x; PreviewOptions: y", "controller.supervision: x; controller.preview: y"),
-        ("Give locked_joints={'a': 0.5, 'b': -1}", 'Give locked_joints_rad = { "a" = 0.5, "b" = -1 }'),
+        ("Give locked_joints={'a': 0.5, 'b': -1}", 'Give locked_joints_rad = {"a" = 0.5, "b" = -1}'),
         ("LinePath.displaced: goal", "path: goal"),
         ("Set T_world_base of RobotCell", "Set base of arms"),
         ("the margin of Tolerances, of OsqpSettings", "the margin of verdict, of controller.solver_settings"),

@@ -50,12 +50,6 @@ EQUIVALENT: dict[tuple[str, str, str], str] = {
                 'faces = np.ascontiguousarray(triangles, dtype="<i4").reshape(- 2, 3)',
             ): "NumPy reads any negative length as the one that fits",
         },
-        "coopqp/files/cellfile/explain.py": {
-            (
-                "entries = list(value.items())[:60]",
-                "entries = list(value.items())[: 59]",
-            ): "the text is cut at 60 characters, and 59 entries are longer",
-        },
         "coopqp/files/cellfile/hints.py": {
             ("_ANY = 1e9", "_ANY = 1000000001.0"): "either internal force binds nothing",
         },

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
+import json
 import re
-from collections.abc import Callable, Sequence
-from datetime import date, time
+from collections.abc import Sequence
 from typing import Any
 
 from pydantic import ValidationError
@@ -51,45 +51,34 @@ def explain(error: ValidationError) -> str:
 
 
 def _words(problems: Sequence[Any]) -> str:
-    own = [p for p in problems if p["type"] in _OWN]
-    if own:
-        return str(own[0]["msg"])
-    wanted = [_KINDS[p["type"]] for p in problems if p["type"] in _KINDS]
-    first = problems[0]
-    if wanted:
-        off = ["false"] if any(_expects_false(p) for p in problems) else []
-        return f"give {' or '.join(dict.fromkeys([*wanted, *off]))}, not {_shown(first['input'])}"
-    if all(map(_expects_false, problems)):
-        return f"give false, not {_shown(first['input'])}"
-    return _single(next(p for p in problems if not _expects_false(p)))
+    own = next((p for p in problems if p["type"] in _OWN), None)
+    if own is not None:
+        return str(own["msg"])
+    others = [p for p in problems if not _expects_false(p)]
+    wanted = [_KINDS[p["type"]] for p in others if p["type"] in _KINDS]
+    if others and not wanted:
+        return _single(others[0])
+    wanted += ["false"] * (len(others) < len(problems))
+    return f"give {' or '.join(dict.fromkeys(wanted))}, not {_shown(problems[0]['input'])}"
 
 
 def _single(problem: Any) -> str:
-    kind, context = problem["type"], problem.get("ctx", {})
-    if kind == "missing":
-        return "is missing"
-    if kind == "union_tag_not_found":
-        return "kind is missing"
-    if kind == "union_tag_invalid":
-        return _unknown(context["tag"], re.findall(r"'([^']*)'", context["expected_tags"]))
-    if kind == "literal_error":
-        return _unknown(problem["input"], re.findall(r"'([^']*)'", context["expected"]))
-    if kind in ("too_short", "too_long"):
-        bound = context.get("min_length", context.get("max_length"))
-        return (
-            f"give {'at least' if kind == 'too_short' else 'at most'} {bound} entries, not {context['actual_length']}"
-        )
-    if kind in ("string_too_short", "string_too_long"):
-        wanted = str(problem["msg"]).removeprefix("String should have ")
-        return f"give text of {wanted}, not {_shown(problem['input'])}"
-    text = str(problem["msg"]).removeprefix("Input should be ").removeprefix("a valid ")
-    return f"must be {text[:1].lower()}{text[1:]}, not {_shown(problem['input'])}"
-
-
-def _unknown(given: Any, known: Sequence[str]) -> str:
-    near = nearest(str(given), known)
-    hint = f"did you mean '{near[0]}'? " if near else ""
-    return f"there is no {_shown(given)}; {hint}known: {listed(known)}"
+    kind, context, said = problem["type"], problem.get("ctx", {}), str(problem["msg"])
+    if kind in ("missing", "union_tag_not_found"):
+        return "is missing" if kind == "missing" else "kind is missing"
+    if kind in ("union_tag_invalid", "literal_error"):
+        given, known = context.get("tag", problem["input"]), context.get("expected_tags") or context["expected"]
+        known = re.findall(r"'([^']*)'", known)
+        near = nearest(str(given), known)
+        hint = f"did you mean '{near[0]}'? " if near else ""
+        return f"there is no {_shown(given)}; {hint}known: {listed(known)}"
+    _, should, wanted = said.partition("should have ")
+    if should:
+        wanted = f"give {wanted.replace('items after validation', 'entries')}"
+    else:
+        text = said.removeprefix("Input should be ").removeprefix("a valid ")
+        wanted = f"must be {text[:1].lower()}{text[1:]}"
+    return wanted if ", not " in wanted else f"{wanted}, not {_shown(problem['input'])}"
 
 
 def _expects_false(problem: Any) -> bool:
@@ -113,61 +102,31 @@ def _place(location: Sequence[int | str]) -> str:
 
 def _shown(value: Any) -> str:
     """A value in the notation of a file, at most 60 characters."""
-    return shortened(_notation(value))
+    if isinstance(value, (str, int, float)) and not isinstance(value, bool):
+        return shown(value)
+    return shortened(json.dumps(value, default=str, ensure_ascii=False).strip('"'))
 
 
-def _notation(value: Any, depth: int = 0) -> str:
-    if isinstance(value, bool):
-        return str(value).lower()
-    if value is None:
-        return "null"
-    if isinstance(value, (date, time)):  # a datetime is a date, too
-        return value.isoformat()
-    if isinstance(value, (list, dict)) and depth > 3:
-        return "…"
-    if isinstance(value, list):
-        return f"[{', '.join(_notation(entry, depth + 1) for entry in value[:60])}]"
-    if isinstance(value, dict):
-        entries = list(value.items())[:60]
-        return "{" + ", ".join(f"{key} = {_notation(entry, depth + 1)}" for key, entry in entries) + "}"
-    return shown(value)
-
-
-#: Words of programs, and their words in a file.
-_WORDS: tuple[tuple[str, str | Callable[[re.Match[str]], str]], ...] = (
-    (r"'([^']*)': (-?[\d.]+)(?=[,}])", r'"\1" = \2'),
-    (r"locked_joints=\{(.*?)\}", r"locked_joints_rad = { \1 }"),
-    (r"locked_joints\['([^']*)'\]", r"locked_joints '\1'"),
-    (r"geometry=False", "geometry = false"),
-    (r"Give velocity_limits \[[^]]*\] and acceleration_limits", "Give them in limits"),
-    (r"lower_limits and upper_limits", "lower_deg and upper_deg in limits"),
-    (r"\b(velocity|acceleration|lower|upper)_limits\b", r"limits.\1"),
-    (r"Remove the floating base, set T_world_base", "Remove the floating base, set base"),
-    (r"or read its URDF with Arm\.from_urdf, which can lock it", "or give its urdf, whose joint can be locked"),
-    (r"T_world_base", "base"),
-    (r"\bArm\.name\b", "arms: name"),
-    (r"\bJointLimits\b", "limits"),
-    (r"Or give both as arms of one robot: coopqp\.Robot", "Or give both as arms of one robot: [[robots]]"),
-    (r"\bRobotCell\b", "arms"),
-    (r"\b(QP|PseudoInverse|IndependentQP)Options\b", "controller"),
-    (r"\b(QP|PseudoInverse|IndependentQP)Controller: dt\b", "dt_s"),
-    (r"\b(Supervision|Preview|Posture)Options\b", lambda found: f"controller.{found[1].lower()}"),
-    (r"\bTolerances\b", "verdict"),
-    (r"\bRankWeights\b", "controller.weights"),
-    (r"\bPhysicsOptions\b", "plant"),
-    (r"\b(Ldp|Daqp|Osqp|Proxqp|Generic|Solver)Settings\b", "controller.solver_settings"),
-    (r"\bCommonError(\.\w+)?\b", "controller.common_error"),
-    (r"\b(Line|Waypoint|Hold)Path(\.\w+)?\b", "path"),
-    (r"\bGrasp\.triangle\b", "grasp"),
-    (r"\breset: q\b", "start"),
-    (r"lower the margin \(margins\)", "lower the margin (collision.margins)"),
-    (r"\binside=\[…\]", "collision.inside"),
-    (r"\bignored=(?=\[\[)", "collision.ignored = "),
-)
+#: Names of programs, and their keys in a file.
+_KEYS = {
+    **dict.fromkeys(("QPOptions", "PseudoInverseOptions", "IndependentQPOptions"), "controller"),
+    **dict.fromkeys((f"{kind}Controller: dt" for kind in ("QP", "PseudoInverse", "IndependentQP")), "dt_s"),
+    **{f"{kind}Options": f"controller.{kind.lower()}" for kind in ("Supervision", "Preview", "Posture")},
+    **{f"{kind}Settings": "controller.solver_settings" for kind in ("Ldp", "Daqp", "Osqp", "Proxqp", "Generic")},
+    **{f"{kind}_limits": f"limits.{kind}" for kind in ("velocity", "acceleration", "lower", "upper")},
+    **dict.fromkeys(("LinePath", "LinePath.displaced", "WaypointPath", "HoldPath"), "path"),
+    "RankWeights": "controller.weights", "CommonError": "controller.common_error", "PhysicsOptions": "plant",
+    "Tolerances": "verdict", "Grasp.triangle": "grasp", "reset: q": "start", "RobotCell": "arms",
+    "Arm.name": "arms: name", "JointLimits": "limits", "T_world_base": "base",
+    "of one robot: coopqp.Robot": "of one robot: [[robots]]",
+    "read its URDF with Arm.from_urdf, which can lock it": "give its urdf, whose joint can be locked",
+    "locked_joints=": "locked_joints_rad = ", "geometry=False": "geometry = false", "ignored=": "collision.ignored = ",
+    "inside=[…]": "collision.inside", "lower the margin (margins)": "lower the margin (collision.margins)",
+}  # fmt: skip
+_NAMES = re.compile("|".join(rf"\b{re.escape(name)}(?!\w)" for name in sorted(_KEYS, key=len, reverse=True)))
 
 
 def in_words_of_the_file(text: str) -> str:
     """A message of the library with the keys of a file in place of arguments and classes."""
-    for pattern, words in _WORDS:
-        text = re.sub(pattern, words, text)
-    return printable(text)
+    text = re.sub(r"'([^']*)': (-?[\d.]+)(?=[,}])", r'"\1" = \2', text)  # to be copied into the file
+    return printable(_NAMES.sub(lambda found: _KEYS[found[0]], text))
