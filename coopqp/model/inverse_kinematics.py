@@ -101,7 +101,7 @@ def _check_reached(cell: RobotCell, errors: Array, tolerance: float, max_iter: i
         d, a = np.linalg.norm(errors[worst, :3]), np.linalg.norm(errors[worst, 3:])
         raise UnreachableError(
             f"arm '{cell.arm_names[worst]}' does not reach its grasp: {1e3 * d:.1f} mm and {np.rad2deg(a):.2f}° remain "
-            f"after {max_iter} iterations. Move its base or the object, or start from another q_start."
+            f"after {max_iter} iterations. Move its base or the object, or give another start."
         )
 
 

@@ -194,8 +194,8 @@ class PathCheck:
             lines.append("distances: not looked at, since an arm cannot follow the path.")
         if any(len(arm.joints) > 6 and arm.verdict is PathVerdict.CERTIFIED for arm in self.arms):
             lines.append(
-                "For arms with more than six joints the proof holds for one motion of their elbows; a run follows it "
-                "on the check's led_path(), as coopqp run does."
+                "For arms with more than six joints the proof holds for one motion of their elbows, "
+                "which coopqp run follows."
             )
         lines += self.cell.notes()
         lines += [f"remedy: {remedy}." for remedy in self.remedies]
