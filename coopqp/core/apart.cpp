@@ -57,10 +57,10 @@ static void watch_chain(Core *c) {
         const Vector3 turn = away.col(k).tail<3>();
         away.col(k).head<3>() += c->at_grasps.block<3, 3>(3, 0).transpose() * turn;
         away.col(k).tail<3>() *= c->at_grasps(5, 5);
-        const double distance = away.col(k).norm();
-        if (!(distance <= most * ALIKE)) most = distance, arm = k;
+        const double square = away.col(k).squaredNorm();
+        if (!(square <= most * (ALIKE * ALIKE))) most = square, arm = k;
     }
-    p->apart = most * n / (n - 1.0);
+    p->apart = sqrt(most) * n / (n - 1.0);
     const double limit = c->options->apart_hold * (c->loop->chain_held != 0.0 ? TOGETHER_AGAIN : 1.0);
     p->chain_holds = !(p->apart <= limit);
     if (p->apart <= SAID_APART || (p->reason != NO_REASON && !(p->watch_cap > 0.0 && p->chain_holds != 0.0))) return;

@@ -62,14 +62,16 @@ static Vector6 common_error(const Core *c, const Twists &errors) {
 /* Shrink n corrections by one common factor to the bounds of speed and spin. */
 static double bound(const Core *c, double *twists, int n) {
     Eigen::Map<Matrix6X> of(twists, 6, n);
+    const double speed = c->options->correction_speed, spin = c->options->correction_spin;
     double linear = 0.0, angular = 0.0;
     for (int k = 0; k < n; k++) {
         linear = max_of(linear, of.col(k).head<3>().squaredNorm());
         angular = max_of(angular, of.col(k).tail<3>().squaredNorm());
     }
-    const double excess = max_of(sqrt(linear) / c->options->correction_speed, sqrt(angular) / c->options->correction_spin);
-    if (excess > 1.0) of /= excess;
-    return maximum(excess, 1.0);
+    if (!(linear > speed * speed) && !(angular > spin * spin)) return 1.0;
+    const double excess = maximum(sqrt(max_of(linear / (speed * speed), angular / (spin * spin))), 1.0);
+    of *= 1.0 / excess;
+    return excess;
 }
 
 /* Whether the grasps were asked to shift since the step before, by `asked_shift`, of which the errors foreseen did not know. */
@@ -80,6 +82,7 @@ static bool asked_to_shift(const Core *c) { return c->loop->has_predicted != 0.0
 static void corrections(Core *c, double h) {
     const double grasp_gain = min_of(c->options->grasp_gain, 1.0 / h), path_gain = min_of(c->options->path_gain, 1.0 / h);
     const bool asked = asked_to_shift(c), predicted = c->loop->has_predicted != 0.0;
+    const double per_step = 1.0 / c->loop->last_dt;
     c->common = common_error(c, c->errors);
     const Vector6 bend = predicted ? bend_of_errors(c->errors.col(0), c->predicted.col(0)) : Vector6::Zero();
     const Vector6 common_shift = asked ? common_error(c, c->asked_shift) : Vector6::Zero();
@@ -91,9 +94,9 @@ static void corrections(Core *c, double h) {
             e += shift;
             c->grasp.col(k) -= grasp_gain * (shift - common_shift);
         }
-        if (predicted) foreseen = (c->predicted.col(k) - e + bend) / c->loop->last_dt, before = c->foreseen.col(k);
+        if (predicted) foreseen = (c->predicted.col(k) - e + bend) * per_step, before = c->foreseen.col(k);
         c->foresees.col(k) = foreseen;
-        c->offsets.col(k) = foreseen + shift / h;
+        c->offsets.col(k) = asked ? Vector6(foreseen + shift / h) : foreseen;
         if (predicted) c->left_over.col(k) = c->offsets.col(k) - before;
         else c->left_over.col(k).setZero();
     }
@@ -418,7 +421,7 @@ static double manipulability(const Core *c, int k, const double *positions, doub
     const ArmJoints &a = joints_of(c, k);
     const Vector3 about = Vector3::Zero();
     double columns[6 * MOST_JOINTS];
-    follow_arm(c, k, positions, &about, nullptr, jacobian);
+    follow_arm<true>(c, k, positions, &about, nullptr, jacobian);
     const OfArm J(side_by_side(a, jacobian, 6, columns), 6, a.n);
     Matrix6 G = J.lazyProduct(J.transpose());
     double det = 1.0;

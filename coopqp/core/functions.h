@@ -39,7 +39,7 @@ static inline bool leads_group(const Core *c, int k) { return !group_of(c, k) ||
 /* -- kinematics.cpp ------------------------------------------------------------------------------------ */
 
 /* Positions close to these are cheap from now on. */
-static void stay_near(Core *c, const double *positions);
+static void stay_near(Core *c, const double *positions, double most);
 /* O_k: the object as each arm carries it. */
 static void carry(const Core *c, const double *positions, Pose *carried);
 /* The same and J (6, joints): twist of the object as carried, at the point `about`, in world axes. */

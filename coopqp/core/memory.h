@@ -303,6 +303,9 @@ static_assert(COPIED<Options, Loop, Travels, Watch, Ahead, Knot, Proposal, Recor
     FIELD(Vector, positions, nv)             /* as commanded, */ \
     FIELD(Vector, velocity, nv)              /* in the last step, */ \
     FIELD(Vector, before, nv)                /* and in the one before */ \
+    FIELD(Vector, near_x, nv)                /* positions close by, of each joint, */ \
+    FIELD(Vector, near_sin, nv)              /* their sines */ \
+    FIELD(Vector, near_cos, nv)              /* and cosines */ \
     FIELD(Twists, predicted, 6 * n)          /* errors e_k that the last step left, as it is linearised [m, rad] */ \
     FIELD(Twists, foreseen, 6 * n)           /* defects b_k that it foresaw [m/s, rad/s] */ \
     FIELD(Twists, mismatch, 6 * n)           /* parting of the arms that was asked for, and is still to be corrected */ \
@@ -359,9 +362,6 @@ static_assert(COPIED<Options, Loop, Travels, Watch, Ahead, Knot, Proposal, Recor
 #define WORK_FIELDS(FIELD) \
     FIELD(Proposal *, proposal, NUMBERS(Proposal)) \
     FIELD(Pose *, own_pose, 12)              /* what a user's path answers, or in its first numbers the twist */ \
-    FIELD(Vector, near_x, nv)                /* positions whose sine and cosine are known, */ \
-    FIELD(Vector, near_sin, nv) \
-    FIELD(Vector, near_cos, nv) \
     FIELD(Pose *, carried, 12 * n)           /* O_k, the object as each arm carries it, as commanded */ \
     FIELD(Twists, jacobian, 6 * nv)          /* J: twists of the object about its origin, in world axes */ \
     FIELD(Pose *, pose, 12)                  /* T, the object's reference pose */ \

@@ -156,7 +156,7 @@ static int go_over(Core *c, const double *goal, double speed, double spin, doubl
     Way w;
     w.goal = *reinterpret_cast<const Pose *>(goal), w.speed = speed, w.spin = spin;
     if (c->few) return -1;
-    stay_near(c, c->positions);
+    stay_near(c, c->positions, 0.5 * CLOSE_BY);
     if (!path_pose(c, clock, w.T) || !path_twist(c, clock, twist)) return -1;
     const bool rests = !((now * twist).cwiseAbs().maxCoeff() > STILL_OBJECT);
     if (rests ? jumps(c, nullptr) : !(rate > 0.0)) return 0; /* at rest self-motion has to end before the new way begins */

@@ -153,7 +153,7 @@ static void observe(Core *c, const double *q, const double *dt) {
             refuse(c, BAD_DT, -1, *dt);
     }
     if (q && !believe(c, q, positions)) q = nullptr;
-    stay_near(c, c->positions);
+    stay_near(c, c->positions, 0.5 * CLOSE_BY);
     if (grasps_move(c)) place_grasps(c, c->loop->clock, c->grasp_shift), take_contact(c, c->loop->clock);
     carry(c, c->positions, c->carried);
     const int was_lost = c->loop->path_lost == 1.0;
@@ -795,7 +795,7 @@ static Status commit(Core *c) {
 static void start_path(Core *c, double clock, double rate) {
     c->loop->clock = clock, c->loop->first = 1.0, c->loop->has_predicted = 0.0;
     c->loop->rate = rate, c->loop->rate_slope = 0.0;
-    stay_near(c, c->positions); /* so that a restart repeats to the last bit */
+    stay_near(c, c->positions, 0.0); /* so that a restart repeats to the last bit */
     c->loop->away = INFINITY;
     c->loop->said = TRACKING;
     if (c->looks_ahead) preview_reset(c, clock, 0);
