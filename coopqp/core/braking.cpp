@@ -88,8 +88,7 @@ static double group_edge(const Core *c, const Group &g, double *gradient) {
     }
     GroupTwists u = GroupTwists::Zero(J.rows());
     least_by_rotations(gram_of(J), &u);
-    GroupVector w = GroupVector::Zero(g.joints);
-    w = J.transpose().lazyProduct(u);
+    GroupVector w = J.transpose().lazyProduct(u);
     const double size = w.norm();
     if (size > 0.0) w /= size;
     for (int i = 0; i < g.arms; i++) {
