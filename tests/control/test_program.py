@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import itertools
 from typing import Any
 
@@ -65,7 +66,7 @@ def test_ratios_of_at_least_100_keep_the_ranks_apart() -> None:
     assert 0.1 <= w.length <= 1.0
 
 
-@pytest.mark.parametrize("name", RankWeights.__dataclass_fields__)
+@pytest.mark.parametrize("name", [field.name for field in dataclasses.fields(RankWeights)])
 @pytest.mark.parametrize("value", [0.0, -1.0, np.nan, np.inf, "much"])
 def test_weights_must_be_positive(name: str, value: Any) -> None:
     with pytest.raises(InvalidInputError, match=f"RankWeights: {name}"):
