@@ -8,7 +8,6 @@ know it. No page may show it in a frame, where a click could be led to a button 
 from __future__ import annotations
 
 import contextlib
-import gzip
 import http
 import os
 import secrets
@@ -55,10 +54,7 @@ class OwnScript:
 
     def into(self, response: Any, key: str) -> Any:
         """The page with the script in its head; the server's addresses begin with the key."""
-        body: bytes = response.body
-        if response.headers.get("Content-Encoding") == "gzip":
-            body = gzip.decompress(body)
-        head, found, tail = body.partition(b"</head>")
+        head, found, tail = response.body.partition(b"</head>")
         if not found:
             raise CoopqpError("the page of this version of viser has no head. Install viser 1.1.")
         return _response(head + f'<script src="/{key}{_SCRIPT}"></script></head>'.encode() + tail, "text/html")
@@ -132,8 +128,11 @@ def _guard(
         own_answer = script.answer(path)
         if own_answer is not None or inner is None:
             return own_answer
-        response = inner(connection, request)
-        return script.into(response, key) if path.partition("?")[0] == "/" else response
+        if path.partition("?")[0] != "/":
+            return inner(connection, request)
+        if "Accept-Encoding" in request.headers:
+            del request.headers["Accept-Encoding"]  # the page is taken as it is
+        return script.into(inner(connection, request), key)
 
     def process_request(connection: Any, request: Any) -> Any:
         response = answer(connection, request)
