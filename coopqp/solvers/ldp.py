@@ -65,6 +65,9 @@ class LdpSolver(QpSolver):
 
 def _factor(H: Array) -> tuple[Array | None, float]:
     """L⁻¹ and s of H; no L⁻¹ if H is not positive definite."""
+    unit = np.eye(len(H))
+    if np.array_equal(H, unit):
+        return unit, 1.0
     scale = float(H.diagonal().max())
     try:
         L = np.linalg.cholesky(H / scale) if scale > 0.0 else np.zeros_like(H)
