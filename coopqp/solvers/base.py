@@ -47,7 +47,7 @@ class SolverSettings:
     @property
     def own(self) -> dict[str, Any]:
         """The settings that the backend gets, by its names."""
-        return {name: value for name, value in vars(self).items() if name != "feasibility_tol"}
+        return {field.name: getattr(self, field.name) for field in fields(self) if field.name != "feasibility_tol"}
 
     def __post_init__(self) -> None:
         """Check the numbers by the type of their defaults: tolerances are > 0, numbers of iterations 1 or more."""

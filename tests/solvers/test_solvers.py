@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import importlib.util
 import json
+import pickle
 import textwrap
 from collections.abc import Callable, Iterator
 from typing import Any
@@ -743,6 +744,17 @@ def test_missing_package(monkeypatch: pytest.MonkeyPatch) -> None:
 def test_settings_are_checked(build: Callable[[], Any], match: str) -> None:
     with pytest.raises(InvalidInputError, match=match):
         build()
+
+
+@pytest.mark.parametrize("kind", [OsqpSettings, ProxqpSettings, DaqpSettings, GenericSettings])
+def test_settings_that_version_02_pickled_are_used(kind: Any) -> None:
+    """They have fields that are no more, and lack some."""
+    settings = kind()
+    vars(settings).update(polish=True, accuracy=1e-8, eps_infeasible=1e-9)
+    vars(settings).pop("eps_prim_inf", None)
+    name = kind.__name__.removesuffix("Settings").lower().replace("generic", "quadprog")
+    solver = make_solver(name, pickle.loads(pickle.dumps(settings)))
+    assert solver.solve(qp(np.eye(2), [-1.0, -1.0], ub=[0.5, 0.5])).usable
 
 
 def test_generic_options() -> None:
