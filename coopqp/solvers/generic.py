@@ -5,7 +5,6 @@ from __future__ import annotations
 import warnings
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -52,7 +51,7 @@ class GenericSettings(SolverSettings):
         SolverSettings.__post_init__(self)
         if not isinstance(self.options, Mapping) or not all(isinstance(k, str) for k in self.options):
             raise InvalidInputError(f"options = {self.options!r}", "GenericSettings", "Give a mapping of keywords.")
-        object.__setattr__(self, "options", MappingProxyType(dict(self.options)))
+        object.__setattr__(self, "options", dict(self.options))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -91,7 +90,7 @@ class GenericSolver(QpSolver):
         # TypeError: an option unknown to the backend. AssertionError: osqp's checks of its input.
         self._raises = (*QpSolver._raises, QPError, TypeError, AssertionError)
         own = self.settings.own
-        self._options = {**_TIGHT.get(backend, {}), **own.pop("options", {}), **own}
+        self._options = {**_TIGHT.get(backend, {}), **(own.pop("options", None) or {}), **own}
 
     def _forget(self) -> None:
         pass
