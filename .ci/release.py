@@ -79,7 +79,7 @@ def sdist(dist: Path, *, tag: str = "") -> Path:
     Raises:
         FailedError: the tag does not name the version, or a step fails.
     """
-    version = re.search(r'__version__ = "(.*?)"', (ROOT / "coopqp" / "__init__.py").read_text(encoding="utf-8"))
+    version = re.search(r'__version__ = "(.*?)"', (ROOT / "coopqp" / "version.py").read_text(encoding="utf-8"))
     if tag and (version is None or tag != f"v{version[1]}"):
         raise FailedError(f"the tag {tag} does not name the version {version and version[1]}")
     uv("build", "--quiet", "--sdist", "--out-dir", str(dist), str(ROOT))

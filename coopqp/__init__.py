@@ -2,7 +2,7 @@
 
 Each package is one part of the flow. It imports from itself and from those above it only:
 
-* ``errors``, ``core``, ``checks``, ``spatial``, ``output``, ``lazy``, ``shown``: what all others use;
+* ``errors``, ``core``, ``checks``, ``spatial``, ``output``, ``lazy``, ``shown``, ``version``: what all others use;
 * ``model``: the arms, the cell, the grasp, the closed chain;
 * ``paths``: where the object should be, and when;
 * ``solvers``: QP solvers behind one interface;
@@ -23,8 +23,8 @@ The names that most programs need are here, the others in their packages.
 """
 
 from coopqp.lazy import attach, moved
+from coopqp.version import __version__ as __version__
 
-__version__ = "0.3.0"
 __getattr__, __dir__, __all__ = attach(__name__, __file__)
 
 _ONE = "the core makes every step, and without it nothing runs; coopqp --version names its version"

@@ -13,12 +13,12 @@ from importlib import metadata
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NoReturn
 
-import coopqp
 from coopqp.cli import calibrate, check, drive, examples, jog, new, route, sensors, studies
 from coopqp.cli.commands import COMMANDS
 from coopqp.cli.terminal import add_command, print_hints, print_table, print_written, reporter, say
 from coopqp.errors import CoopqpError, MissingExtraError, UndecidedError, UnreachableError, cause_of
 from coopqp.output import check_below, check_folder, check_new, check_unused, numbered
+from coopqp.version import __version__
 
 if TYPE_CHECKING:
     from coopqp.cli.demo import DemoRun
@@ -44,7 +44,7 @@ class _Version(argparse.Action):
     def __call__(self, parser: argparse.ArgumentParser, *_: Any, **__: Any) -> NoReturn:
         from coopqp.solvers.choice import default_solver
 
-        print(f"coopqp {coopqp.__version__}")
+        print(f"coopqp {__version__}")
         print(f"solver {default_solver()}")
         versions = {"python": platform.python_version(), **{name: metadata.version(name) for name in _SHOWN}}
         print(", ".join(f"{name} {version}" for name, version in versions.items()))

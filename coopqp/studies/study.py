@@ -18,7 +18,6 @@ import numpy as np
 from annotated_types import Ge, Le, Len
 from pydantic import Field, ValidationError, model_validator
 
-import coopqp
 from coopqp.errors import CoopqpError, UnknownNameError, shortened, shown
 from coopqp.files.cellfile.basic import FilePath, Name, Seconds, exactly_one
 from coopqp.files.cellfile.explain import explain
@@ -40,6 +39,7 @@ from coopqp.simulation.simulate import PATIENCE
 from coopqp.studies.drawing import DisturbancesTable
 from coopqp.studies.errors import StudyError
 from coopqp.studies.table import FIGURES
+from coopqp.version import __version__
 
 #: Largest accepted number of rows, and of values of an axis.
 MAX_ROWS, MAX_VALUES = 1_000_000, 10_000
@@ -374,7 +374,7 @@ def versions() -> dict[str, str]:
     packages = ("pin", "numpy", "scipy", "daqp", "osqp", "proxsuite")
     return {
         "python": platform.python_version(),
-        "coopqp": coopqp.__version__,
+        "coopqp": __version__,
         **{name: metadata.version(name) for name in packages},
         "solver": str(default_solver()),
         "processor": f"{platform.machine()} {' '.join(name for name in _SIMD if _has(name))}".strip(),

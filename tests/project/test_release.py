@@ -127,7 +127,7 @@ def test_version_changelog_and_citation_name_the_same_release() -> None:
     assert heads[0] == ("Unreleased", "")
     version, day = heads[1]
     cited = YAML(typ="safe", pure=True).load((ROOT / "CITATION.cff").read_text(encoding="utf-8"))
-    source = (ROOT / "coopqp" / "__init__.py").read_text(encoding="utf-8")
+    source = (ROOT / "coopqp" / "version.py").read_text(encoding="utf-8")
     assert f'__version__ = "{version}"' in source
     assert (str(cited["version"]), str(cited["date-released"])) == (version, day)
 
@@ -135,7 +135,7 @@ def test_version_changelog_and_citation_name_the_same_release() -> None:
 def test_the_page_names_each_file_of_a_release() -> None:
     page = (DOCS / "releasing.md").read_text(encoding="utf-8")
     for name in (
-        "coopqp/__init__.py", "CHANGELOG.md", "CITATION.cff", ".ci/release.py", ".github/workflows/release.yml",
+        "coopqp/version.py", "CHANGELOG.md", "CITATION.cff", ".ci/release.py", ".github/workflows/release.yml",
         "pyproject.toml",
     ):  # fmt: skip
         assert f"`{name}`" in page, name
