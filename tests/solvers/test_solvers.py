@@ -339,8 +339,17 @@ def test_residual_methods(name: str) -> None:
     assert solution.violation == pytest.approx(solution.primal_residual(problem), abs=1e-14)
     shifted = dataclasses.replace(problem, ub=np.where(np.isinf(problem.ub), solution.x - 0.25, problem.ub))
     assert solution.primal_residual(shifted) == pytest.approx(0.25, abs=1e-9)
+    for missing in ("y_rows", "y_box"):
+        assert np.isnan(dataclasses.replace(solution, **{missing: None}).complementarity(problem))
+        assert np.isnan(dataclasses.replace(solution, **{missing: None}).dual_residual(problem))
     heavier = dataclasses.replace(problem, g=problem.g + 0.5)
     assert solution.dual_residual(heavier) == pytest.approx(0.5, abs=1e-7)
+
+
+@pytest.mark.parametrize("name", ["proxqp", "ldp"])
+def test_iterations_are_those_of_the_backend(name: str) -> None:
+    """These begin at 0, which is the answer."""
+    assert make_solver(name).solve(qp(np.eye(2), np.zeros(2))).iterations == 0
 
 
 # -- sequences -------------------------------------------------------------------------------------------------------
