@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, fields
-from typing import Any, TypeAlias, TypeVar, get_type_hints
+from typing import Any, ClassVar, TypeAlias, TypeVar, get_type_hints
 
 import numpy as np
 import numpy.typing as npt
@@ -38,6 +38,22 @@ def meanings(options: Callable[..., Any]) -> dict[str, str]:
         for name, hint in hints.items()
     }
     return {name: found[0].documentation for name, found in marks.items() if found}
+
+
+class Refusing:
+    """Options of which earlier versions had more: those are refused, by name.
+
+    Attributes:
+        removed: names that are no more, and what to do instead.
+    """
+
+    removed: ClassVar[Mapping[str, str]] = {}
+
+    def __new__(cls, **given: Any) -> Any:
+        """Refuse what is no more."""
+        for name in given.keys() & cls.removed.keys():
+            raise InvalidInputError(f"{name} is no longer an option", cls.__name__, cls.removed[name])
+        return super().__new__(cls)
 
 
 def documented(options: type[_Options]) -> type[_Options]:
@@ -166,9 +182,7 @@ def as_options(kind: type[_Options], value: Any, where: str) -> _Options:
         raise InvalidInputError(what, where, f"Give {kind.__name__}(…), a dictionary of its fields, or nothing.")
     known = [field.name for field in fields(kind)]  # type: ignore[arg-type]
     for name in value:
-        if name in getattr(kind, "removed", ()):
-            raise InvalidInputError(f"{name} is no longer an option", kind.__name__, kind.removed[name])  # type: ignore[attr-defined]
-        if name not in known:
+        if name not in known and name not in getattr(kind, "removed", ()):
             raise UnknownNameError("option", str(name), known, where)
     return kind(**value)
 

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from typing import Annotated, Any, ClassVar
+from typing import Annotated, Any
 
 import numpy as np
 
-from coopqp.checks import Doc, as_options, documented, keep_scalars
+from coopqp.checks import Doc, Refusing, as_options, documented, keep_scalars
 from coopqp.control.lookahead.options import PreviewOptions
 from coopqp.control.monitoring.options import SupervisionOptions
 from coopqp.control.step.start import START_TOLERANCE_M, START_TOLERANCE_RAD
@@ -20,11 +20,10 @@ from coopqp.solvers.base import QpSolver
 
 @documented
 @dataclass(frozen=True, kw_only=True)
-class RankWeights:
+class RankWeights(Refusing):
     """Costs of giving something up, per unit squared; ratios of at least 100 keep the ranks apart."""
 
-    #: Options of version 0.1 that are no more, and what to do instead.
-    removed: ClassVar[Mapping[str, str]] = {"comfort": "Give posture."}
+    removed = {"comfort": "Give posture."}  # noqa: RUF012  # of version 0.1
 
     chain: Annotated[float, Doc("cost of the speed at which the arms part [1/(m/s)²]")] = 1e8
     off_path: Annotated[float, Doc("cost of object velocity off the path [1/(m/s)²]")] = 1e4
@@ -46,11 +45,10 @@ class RankWeights:
 
 @documented
 @dataclass(frozen=True, kw_only=True)
-class QPOptions:
+class QPOptions(Refusing):
     """Settings of the cooperative controller."""
 
-    #: Options of version 0.2 that are no more, and what to do instead.
-    removed: ClassVar[Mapping[str, str]] = {
+    removed = {  # noqa: RUF012  # of version 0.2
         "kernel": "Leave it out: the core makes every step.",
         "form": "Leave it out: the QP of a step is the condensed one.",
         "iterations": "Leave it out: long steps are linearised again by themselves; a shorter dt is more accurate.",
@@ -106,12 +104,6 @@ class QPOptions:
     start_tolerance_rad: Annotated[float, Doc("accepted angle of any arm from the grasp at reset [rad]")] = (
         START_TOLERANCE_RAD
     )
-
-    def __new__(cls, **given: Any) -> QPOptions:
-        """Refuse options that are no more, by name."""
-        for name in given.keys() & cls.removed.keys():
-            raise InvalidInputError(f"{name} is no longer an option", "QPOptions", cls.removed[name])
-        return super().__new__(cls)
 
     def __post_init__(self) -> None:
         keep_scalars(self, "grasp_gain", "path_gain", "measurement_time", open_low=False)

@@ -4,13 +4,12 @@ from __future__ import annotations
 
 import abc
 import time
-from collections.abc import Mapping
 from dataclasses import dataclass, fields
-from typing import Any, ClassVar
+from typing import Any
 
 import numpy as np
 
-from coopqp.checks import keep_scalars
+from coopqp.checks import Refusing, keep_scalars
 from coopqp.errors import InvalidInputError, shown
 from coopqp.solvers.problem import Array, QpProblem, QpSolution, SolverStatus, Stacked, blame
 
@@ -19,7 +18,7 @@ _EACH = "Leave it out: each attempt has max_iter and max_iter_in."
 
 
 @dataclass(frozen=True, kw_only=True)
-class SolverSettings:
+class SolverSettings(Refusing):
     """Settings of every backend.
 
     Attributes:
@@ -27,8 +26,7 @@ class SolverSettings:
             gives the status ``FAILED``.
     """
 
-    #: Settings of version 0.2 that are no more, and what to do instead.
-    removed: ClassVar[Mapping[str, str]] = {
+    removed = {  # noqa: RUF012  # of version 0.2
         **dict.fromkeys(("accuracy", "polish"), _EXACT),
         **dict.fromkeys(("max_iter_warm", "max_iter_in_warm"), _EACH),
         "eps_infeasible": "Leave it out: for OSQP it is eps_prim_inf and eps_dual_inf, for ProxQP eps_primal_inf.",
@@ -37,12 +35,6 @@ class SolverSettings:
     }
 
     feasibility_tol: float = 1e-6
-
-    def __new__(cls, **given: Any) -> SolverSettings:
-        """Refuse settings that are no more, by name."""
-        for name in given.keys() & cls.removed.keys():
-            raise InvalidInputError(f"{name} is no longer an option", cls.__name__, cls.removed[name])
-        return super().__new__(cls)
 
     @property
     def own(self) -> dict[str, Any]:

@@ -8,9 +8,6 @@ ANY = ""
 EQUIVALENT: dict[tuple[str, str, str], str] = {
     (module, before, after): why
     for module, changes in {
-        "coopqp/model/chain.py": {
-            ("self.singular = False", "pass"): "nobody asks before the Jacobians are inverted, which sets it",
-        },
         ANY: {
             ("@dataclass(eq=False)", "@dataclass(eq=True)"): "nobody compares these, and none of them is a key",
         },
