@@ -327,7 +327,7 @@ class Clearance:
         )  # fmt: skip
         quiet = "quiet_ahead" if ahead else "quiet"
         arrays = {name: memory[name] for name in names} | {
-            "centre": memory[f"{quiet}_centre"], "quiet_reach": memory[f"{quiet}_reach"],
+            "centre": memory[f"{quiet}_centre"], "weights": memory[f"{quiet}_reach"],
             "slack": memory[f"{quiet}_slack"], "approach": memory[f"{quiet}_approach"],
             "counts": np.zeros(2) if ahead else self._counts, "speeds": self._most, "fastest": self._fastest,
         }  # fmt: skip

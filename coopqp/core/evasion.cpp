@@ -38,49 +38,49 @@ static void find_null_space(double (&A)[6][MOST_JOINTS], int n, double (&Z)[MOST
 }
 
 /* An orthonormal basis of each redundant arm's self-motion, in units of its joints' speeds: of its joints that carry the tool. */
-void Evasion::find_basis(Shapes &shapes, const In &arm, const In &carries, const In &speeds) {
-    const Py_ssize_t nv = arm.size;
+void Evasion::find_basis(Shapes &shapes, Read arm, Read carries, Read speeds) {
+    const ptrdiff_t nv = arm.size;
     basis.clear();
-    for (Py_ssize_t begin = 0, end; begin < nv; begin = end) {
-        Py_ssize_t joint[MOST_JOINTS], n = 0;
+    for (ptrdiff_t begin = 0, end; begin < nv; begin = end) {
+        ptrdiff_t joint[MOST_JOINTS], n = 0;
         for (end = begin; end < nv && arm.data[end] == arm.data[begin]; end++)
             if (carries.data[end] != 0.0 && n < MOST_JOINTS) joint[n++] = end;
         if (n <= 6) continue;
         double scale[MOST_JOINTS], tool[6][MOST_JOINTS], still[MOST_JOINTS][MOST_JOINTS];
-        for (Py_ssize_t i = 0; i < n; i++) {
+        for (ptrdiff_t i = 0; i < n; i++) {
             scale[i] = speeds.data[joint[i]] < FASTEST_JOINT ? speeds.data[joint[i]] : 1.0;
             const Vector6 &moved = shapes.twist((size_t)joint[i]); /* what each joint does to the tool */
             for (int k = 0; k < 6; k++) tool[k][i] = scale[i] * moved[k];
         }
         find_null_space(tool, (int)n, still);
-        for (Py_ssize_t z = 0; z < n - 6; z++) {
+        for (ptrdiff_t z = 0; z < n - 6; z++) {
             basis.resize(basis.size() + (size_t)nv);
             double *column = basis.data() + basis.size() - nv;
-            for (Py_ssize_t i = 0; i < n; i++) column[joint[i]] = scale[i] * still[z][i];
+            for (ptrdiff_t i = 0; i < n; i++) column[joint[i]] = scale[i] * still[z][i];
         }
     }
 }
 
 /* min |z|² + |s|² with G (q′ + N z) + s / YIELDS >= lower: of rows that self-motion changes, with unit norm. */
-void Evasion::move(Shapes &shapes, const In &arm, const In &carries, const In &speeds, double *slope) {
+void Evasion::move(Shapes &shapes, Read arm, Read carries, Read speeds, double *slope) {
     using Rows = Eigen::Matrix<double, Eigen::Dynamic, Eigen::Dynamic, Eigen::RowMajor>;
     using Numbers = Eigen::Map<Eigen::VectorXd>;
     find_basis(shapes, arm, carries, speeds);
-    const Py_ssize_t nv = arm.size, motions = (Py_ssize_t)basis.size() / nv, all = (Py_ssize_t)missing.size();
+    const ptrdiff_t nv = arm.size, motions = (ptrdiff_t)basis.size() / nv, all = (ptrdiff_t)missing.size();
     const Eigen::Map<const Eigen::MatrixXd> N(basis.data(), nv, motions);
     turned.resize((size_t)(all * motions));
     Eigen::Map<Rows> GN(turned.data(), all, motions);
     GN = Eigen::Map<const Rows>(rows.data(), all, nv).lazyProduct(N);
     helping.clear();
-    for (Py_ssize_t i = 0; i < all && motions; i++)
+    for (ptrdiff_t i = 0; i < all && motions; i++)
         if (GN.row(i).cwiseAbs().maxCoeff() > HELPS) helping.push_back(i);
-    const Py_ssize_t m = (Py_ssize_t)helping.size(), n = m + motions;
+    const ptrdiff_t m = (ptrdiff_t)helping.size(), n = m + motions;
     if (!m) return;
     room.assign((size_t)(m * n + m + n + 3 * (m + n) + 2 * n * (n + 3)), 0.0);
     double *const matrix = room.data(), *const low = matrix + m * n, *const x = low + m, *const y = x + n;
     double *const lb = y + m + n, *const ub = lb + m + n, *const work = ub + m + n;
     Eigen::Map<Rows> A(matrix, m, n);
-    for (Py_ssize_t i = 0; i < m; i++) {
+    for (ptrdiff_t i = 0; i < m; i++) {
         const auto row = GN.row(helping[(size_t)i]);
         const double per = 1.0 / sqrt(row.squaredNorm() + 1.0 / (YIELDS * YIELDS));
         A.row(i).head(motions) = per * row;

@@ -10,8 +10,6 @@
 
 #include "core.h"
 
-/* Joints this close to their placed positions need no new placement [rad or m]: a step's end is the next one's start. */
-#define SAME_PLACE 1e-14
 /* A pair is followed by itself within this of its margin, others all together [m]. */
 #define FOLLOWED 0.25
 /* Pairs whose bounds are made sharp in a step, and ahead of need; gaps that are found ahead of need; where there are more
@@ -31,62 +29,9 @@
 #define MOST_NEEDED 0.9
 #define WIDER 1.3
 
-/* -- coal ------------------------------------------------------------------------------------------------------------ */
-
-Coal::Coal(nb::object owner_given, nb::list placing_given, nb::callable ask_given, nb::list questions_given,
-           nb::list answers_given, nb::list points_given, const nb::list &normals_given, Out q_given, In q_index_given,
-           In continuous_given)
-    : owner(std::move(owner_given)), placing(std::move(placing_given)), questions(std::move(questions_given)),
-      answers(std::move(answers_given)), points(std::move(points_given)), ask(std::move(ask_given)),
-      q(std::move(q_given)), q_index(std::move(q_index_given)), continuous(std::move(continuous_given)) {
-    for (nb::handle normal : normals_given) {
-        In view; /* stays there as long as its owner */
-        check_fit(view.take(normal.ptr()) && view.size == 3);
-        normals.push_back(view.data);
-    }
-    check_fit(questions.size() == pairs() && answers.size() == pairs() && points.size() == pairs());
-    check_fit(q_index.size == continuous.size);
-    for (Py_ssize_t j = 0; j < q_index.size; j++)
-        check_fit(q_index.data[j] >= 0.0 && q_index.data[j] + (continuous.data[j] != 0.0 ? 2.0 : 1.0) <= (double)q.size);
-    d.resize(pairs()), known.resize(pairs()), at.resize((size_t)q_index.size);
-}
-
-void Coal::place(const double *x) {
-    double away = lost ? INFINITY : 0.0;
-    for (size_t j = 0; j < at.size(); j++) away = fmax(away, fabs(x[j] - at[j]));
-    if (away <= SAME_PLACE) return;
-    for (size_t j = 0; j < at.size(); j++) {
-        double *own = q.data + (Py_ssize_t)q_index.data[j];
-        own[0] = x[j];
-        if (continuous.data[j] != 0.0) own[0] = cos(x[j]), own[1] = sin(x[j]);
-    }
-    at.assign(x, x + at.size());
-    stamp++, lost = true;
-    for (nb::handle function : placing) function();
-    lost = false;
-}
-
-double Coal::distance(Py_ssize_t k) {
-    if (knows(k)) return d[(size_t)k];
-    ask(*questions[(size_t)k]);
-    d[(size_t)k] = maximum(DEEPEST, nb::cast<double>(answers[(size_t)k].attr("min_distance")));
-    known[(size_t)k] = stamp;
-    return d[(size_t)k];
-}
-
-void Coal::ends(Py_ssize_t k, double *found) const {
-    In point;
-    const nb::object given = points[(size_t)k]();
-    check_fit(point.take(given.ptr()) && point.size == 3, "a point has three numbers");
-    memcpy(found, normals[(size_t)k], 3 * sizeof(double));
-    memcpy(found + 3, point.data, 3 * sizeof(double));
-    for (int e = 0; e < 6; e++) /* of an overlap whose depth coal did not find */
-        if (!(fabs(found[e]) < FARTHEST_POINT)) memset(found, 0, 6 * sizeof(double));
-}
-
 /* -- shapes ---------------------------------------------------------------------------------------------------------- */
 
-Shapes::Shapes(const In &axes, const In &carriers, const In &shapes, const std::vector<In> &corners, const In &pairs) {
+Shapes::Shapes(Read axes, Read carriers, Read shapes, const std::vector<Read> &corners, Read pairs) {
     enum { KIND, JOINT, HALF, RADIUS = HALF + 3, PLACE, NUMBERS = PLACE + 12 };
     const size_t count = corners.size(), n = (size_t)carriers.size;
     check_fit(axes.size == 6 * carriers.size && (size_t)shapes.size == NUMBERS * count && pairs.size % 2 == 0);
@@ -107,7 +52,7 @@ Shapes::Shapes(const In &axes, const In &carriers, const In &shapes, const std::
         s.corners.assign(corners[i].data, corners[i].data + corners[i].size);
         check_fit(s.corners.size() % 3 == 0 && (s.kind != HULL || !s.corners.empty()));
     }
-    for (Py_ssize_t i = 0; i < pairs.size; i++) {
+    for (ptrdiff_t i = 0; i < pairs.size; i++) {
         check_fit(pairs.data[i] >= 0.0 && pairs.data[i] < (double)count);
         (i % 2 ? second : first).push_back((int)pairs.data[i]);
     }
@@ -149,18 +94,18 @@ const Shape &Shapes::placed(size_t i) {
     return s;
 }
 
-double Shapes::bound(Py_ssize_t k, double enough, double tolerance) {
+double Shapes::bound(ptrdiff_t k, double enough, double tolerance) {
     const Shape &a = placed((size_t)first[(size_t)k]), &b = placed((size_t)second[(size_t)k]);
     return least_gap(a, b, ways[(size_t)k], enough, tolerance, nullptr);
 }
 
-double Shapes::bound_at(Py_ssize_t k, const Pose &T, double tolerance) {
+double Shapes::bound_at(ptrdiff_t k, const Pose &T, double tolerance) {
     const size_t i = (size_t)first[(size_t)k], j = (size_t)second[(size_t)k], held = shape[i].joint < 0 ? j : i;
     shape[held].T = T, stamps[held] = 0;
     return least_gap(shape[i], shape[j], ways[(size_t)k], INFINITY, tolerance, nullptr);
 }
 
-double Shapes::gap(Py_ssize_t k, double *ends) {
+double Shapes::gap(ptrdiff_t k, double *ends) {
     const Shape &a = placed((size_t)first[(size_t)k]), &b = placed((size_t)second[(size_t)k]);
     Vector3 &way = ways[(size_t)k], point;
     const double apart = (b.T.p - a.T.p).norm(); /* an answer does not depend on those before */
@@ -172,35 +117,15 @@ double Shapes::gap(Py_ssize_t k, double *ends) {
 
 /* -- building -------------------------------------------------------------------------------------------------------- */
 
-/* An array of a dictionary, of so many numbers; of any number for −1. */
-template <typename T>
-static void take(const nb::dict &arrays, const char *name, T &out, Py_ssize_t size) {
-    const nb::handle given = arrays[name];
-    check_fit(out.take(given.ptr()) && (size < 0 || out.size == size));
-}
-
-Nearby::Nearby(const nb::dict &arrays, const Settings &settings, Coal &&coal_given, Shapes &&shapes_given)
-    : set(settings), coal(std::move(coal_given)), shapes(std::move(shapes_given)), pairs((Py_ssize_t)shapes.pairs()),
-      joints((Py_ssize_t)shapes.joints()) {
-    const Py_ssize_t P = pairs, nv = joints;
-    check_fit(coal.pairs() == (size_t)P && nv > 0);
-    take(arrays, "clearances", clearances, P), take(arrays, "at", at, nv), take(arrays, "counts", counts, 2);
-    take(arrays, "reach", reach, nv * P), take(arrays, "margins", margins, P), take(arrays, "most", most, P);
-    take(arrays, "fastest", fastest, P), take(arrays, "kinds", kinds, nv * P);
-    take(arrays, "continuous", continuous, nv), take(arrays, "arm", arm, nv);
-    take(arrays, "carries", carries, nv), take(arrays, "speeds", speeds, nv);
-    take(arrays, "jacobian", jacobian, 6 * nv);
-    take(arrays, "positions", positions, nv), take(arrays, "command", command, nv), take(arrays, "dt", dt, 1);
-    take(arrays, "lower", lower, -1);
-    most_rows = lower.size;
-    take(arrays, "G", G, most_rows * nv), take(arrays, "upper", upper, most_rows), take(arrays, "soft", soft, most_rows);
-    take(arrays, "owner", owner, most_rows);
-    take(arrays, "centre", centre, nv), take(arrays, "quiet_reach", weights, nv);
-    take(arrays, "slack", slack, 1), take(arrays, "approach", approach, 1);
-    take(arrays, "knot_positions", knot_at, -1);
-    take(arrays, "knot_slope", knot_slope, knot_at.size), take(arrays, "knot_curvature", knot_curvature, knot_at.size);
-    take(arrays, "evading_positions", evading_positions, nv), take(arrays, "evading_slope", evading_slope, nv);
-    check_fit(knot_at.size % nv == 0);
+Nearby::Nearby(const NearbyArrays &arrays, const Settings &settings, std::unique_ptr<ExactDistances> exact_given,
+               Shapes &&shapes_given)
+    : NearbyArrays(arrays), set(settings), exact(std::move(exact_given)), shapes(std::move(shapes_given)),
+      pairs((ptrdiff_t)shapes.pairs()), joints((ptrdiff_t)shapes.joints()) {
+    const ptrdiff_t P = pairs, nv = joints;
+    check_fit(exact->pairs() == (size_t)P && nv > 0 && knot_positions.size % nv == 0);
+#define FITS(name, numbers) check_fit(name.size == (numbers));
+    NEARBY_ARRAYS(FITS, FITS)
+#undef FITS
     const size_t own = (size_t)nv;
     next.resize(own), coming.resize(own), watch.resize((size_t)P), sharp.resize((size_t)P);
     build_survey(&survey, P, nv, clearances.data, at.data, reach.data, continuous.data, arm.data);
@@ -209,13 +134,13 @@ Nearby::Nearby(const nb::dict &arrays, const Settings &settings, Coal &&coal_giv
     start_survey(&survey);
 }
 
-void Nearby::placement(const In &x, Py_ssize_t i, Out &found) {
+void Nearby::placement(Read x, ptrdiff_t i, Write found) {
     check_fit(x.size == joints && found.size == 12 && i >= 0 && (size_t)i < shapes.size());
     shapes.place(x.data);
     *reinterpret_cast<Pose *>(found.data) = shapes.placed((size_t)i).T;
 }
 
-double Nearby::bound(const In &x, Py_ssize_t k) {
+double Nearby::bound(Read x, ptrdiff_t k) {
     check_fit(x.size == joints && k >= 0 && k < pairs);
     shapes.place(x.data);
     return shapes.bound(k, INFINITY, SHARP);
@@ -231,7 +156,7 @@ void Nearby::follow(const double *x) {
 }
 
 /* Clearance of a close pair at x, where the joints are followed to, as sharp as needed: `enough`, or by tolerance. */
-double Nearby::bounded(Py_ssize_t k, const double *x, double enough, double tolerance) {
+double Nearby::bounded(ptrdiff_t k, const double *x, double enough, double tolerance) {
     double &own = clearances.data[k];
     if (own >= enough || is_sharp(k)) return own;
     shapes.place(x);
@@ -241,16 +166,16 @@ double Nearby::bounded(Py_ssize_t k, const double *x, double enough, double tole
 }
 
 /* A rough bound of a clearance where close pairs are followed to. */
-double Nearby::Measured::operator()(Py_ssize_t k) const {
+double Nearby::Measured::operator()(ptrdiff_t k) const {
     all->shapes.place(all->at.data);
     return all->shapes.bound(k, INFINITY, ROUGH) - all->margins.data[k];
 }
 
-/* The same by coal. */
-double Nearby::asked(Py_ssize_t k, const double *x) {
-    coal.place(x);
+/* The same by exact-> */
+double Nearby::asked(ptrdiff_t k, const double *x) {
+    exact->place(x);
     sharp[(size_t)k] = sharp_stamp;
-    return clearances.data[k] = coal.distance(k) - margins.data[k];
+    return clearances.data[k] = exact->distance(k) - margins.data[k];
 }
 
 /* -- rows ------------------------------------------------------------------------------------------------------------ */
@@ -264,7 +189,7 @@ void Nearby::set_watches(double rate, double range) {
     if (watch_of[0] == rate && watch_of[1] == range) return;
     double widest = 0.0;
     watch_of[0] = rate, watch_of[1] = range;
-    for (Py_ssize_t k = 0; k < pairs; k++) {
+    for (ptrdiff_t k = 0; k < pairs; k++) {
         watch[(size_t)k] = minimum(range, fastest.data[k] / rate);
         widest = maximum(widest, watch[(size_t)k]);
     }
@@ -284,20 +209,20 @@ void Nearby::begin(bool blind) {
 /* Pairs within their watch, asked, in their order: how many; none if they are too many. */
 std::optional<size_t> Nearby::find_near() {
     near.clear();
-    for (const Py_ssize_t k : survey.close) {
+    for (const ptrdiff_t k : survey.close) {
         const double within = watch[(size_t)k];
         if (bounded(k, positions.data, within, SHARP) < within && asked(k, positions.data) < within) near.push_back(k);
     }
     std::sort(near.begin(), near.end());
-    if ((double)near.size() > set.most_pairs || (Py_ssize_t)near.size() > most_rows) return {};
+    if ((double)near.size() > set.most_pairs || (ptrdiff_t)near.size() > lower.size) return {};
     return near.size();
 }
 
 /* The close pair whose clearance may be used up first; -1 of none. */
-Py_ssize_t Nearby::soonest_close() const {
+ptrdiff_t Nearby::soonest_close() const {
     double share = -1.0;
-    Py_ssize_t found = -1;
-    for (const Py_ssize_t k : survey.close) {
+    ptrdiff_t found = -1;
+    for (const ptrdiff_t k : survey.close) {
         const double left = maximum(LEAST_CLEARANCE, clearances.data[k] - survey.spare);
         if (most.data[k] > share * left) share = most.data[k] / left, found = k;
     }
@@ -307,7 +232,7 @@ Py_ssize_t Nearby::soonest_close() const {
 /* Sharpen bounds of close pairs, a few in a step, until that of the one that may use up its clearance first is sharp. */
 void Nearby::sharpen(int count) {
     for (int i = 0; i < count; i++) {
-        const Py_ssize_t k = soonest_close();
+        const ptrdiff_t k = soonest_close();
         if (k < 0 || is_sharp(k)) return;
         bounded(k, at.data, INFINITY, SHARP);
     }
@@ -323,15 +248,13 @@ long Nearby::rows(bool blind) {
     const double rate = approach_of(blind);
     which.clear();
     begin(blind);
-    if (!find_near()) {
-        PyErr_SetString(PyExc_OverflowError, "more pairs are near than a step has rows for");
-        throw nb::python_error();
-    }
+    if (!find_near())
+        throw std::overflow_error("more pairs are near than a step has rows for");
     sharpen(MOST_SHARPENED);
-    for (const Py_ssize_t k : near) { /* those that joints at full speed cannot break are left out */
+    for (const ptrdiff_t k : near) { /* those that joints at full speed cannot break are left out */
         const size_t m = which.size();
-        double ends[6], *row = G.data + (Py_ssize_t)m * joints;
-        coal.ends(k, ends);
+        double ends[6], *row = G.data + (ptrdiff_t)m * joints;
+        exact->ends(k, ends);
         gradient(ends, jacobian.data, kinds.data + k * joints, row, joints);
         lower.data[m] = least_speed(clearances.data[k], rate);
         if (!breakable(row, lower.data[m], speeds.data, joints)) continue;
@@ -347,7 +270,7 @@ long Nearby::rows(bool blind) {
 /* Whether the way leaves every pair outside its margin. */
 bool Nearby::way_is_clear(const double *x) {
     if (!(left_at(&survey, x) > most_of_two(&survey, survey.weights.data(), motion.joint.data()))) return false;
-    for (const Py_ssize_t k : survey.close) {
+    for (const ptrdiff_t k : survey.close) {
         const double need = taken(&survey, k, &motion);
         if (clearances.data[k] > need) continue;
         if (!(bounded(k, x, 2.0 * need, ROUGH) > need) && !(bounded(k, x, 2.0 * need, SHARP) > need)) return false;
@@ -359,7 +282,7 @@ bool Nearby::clear(bool blind, bool shorter) {
     const double rate = approach_of(blind);
     begin(blind);
     double *way = motion.anew();
-    for (Py_ssize_t j = 0; j < joints; j++) way[j] = fabs(command.data[j]) / rate;
+    for (ptrdiff_t j = 0; j < joints; j++) way[j] = fabs(command.data[j]) / rate;
     if (!way_is_clear(positions.data)) return false;
     if (!shorter) sharpen(MOST_SHARPENED); /* the certificate lasts the longer */
     which.clear();
@@ -373,15 +296,15 @@ bool Nearby::tightened() {
     const double length = dt.data[0];
     bool any = false;
     for (size_t i = 0; i < which.size(); i++) {
-        const Py_ssize_t k = which[i];
+        const ptrdiff_t k = which[i];
         const double clearance = clearances.data[k], least = minimum(0.0, clearance);
-        const double *row = G.data + (Py_ssize_t)i * joints;
+        const double *row = G.data + (ptrdiff_t)i * joints;
         double speed = 0.0;
-        for (Py_ssize_t j = 0; j < joints; j++) speed += row[j] * command.data[j];
+        for (ptrdiff_t j = 0; j < joints; j++) speed += row[j] * command.data[j];
         if (!(clearance + length * speed < least + BEND_SAMPLE)) continue;
-        for (Py_ssize_t j = 0; j < joints; j++) next[(size_t)j] = positions.data[j] + length * command.data[j];
-        coal.place(next.data());
-        const double missing = least - (coal.distance(k) - margins.data[k]);
+        for (ptrdiff_t j = 0; j < joints; j++) next[(size_t)j] = positions.data[j] + length * command.data[j];
+        exact->place(next.data());
+        const double missing = least - (exact->distance(k) - margins.data[k]);
         if (!(missing > 0.1 * STANDING)) continue;
         lower.data[i] = maximum(lower.data[i], speed) + missing / length;
         any = true;
@@ -394,13 +317,13 @@ bool Nearby::tightened() {
 /* The share of the certificate in memory that is used at positions x. */
 double Nearby::used_at(const double *x) {
     double *way = motion.anew();
-    for (Py_ssize_t j = 0; j < joints; j++) way[j] = fabs(x[j] - centre.data[j]);
+    for (ptrdiff_t j = 0; j < joints; j++) way[j] = fabs(x[j] - centre.data[j]);
     return most_of_two(&survey, weights.data, way);
 }
 
 /* Look at some pairs for the next certificate; whether there are more. */
 bool Nearby::look_for_certificate(int some) {
-    const Py_ssize_t before = soonest_close();
+    const ptrdiff_t before = soonest_close();
     sharpen(some);
     looked += some;
     return before >= 0 && !is_sharp(soonest_close()) && looked < 4 * SHARPENED_EARLY;
@@ -411,7 +334,7 @@ bool Nearby::look_for_knot() {
     int count = 0;
     double *way = motion.anew();
     for (size_t j = 0; j < coming.size(); j++) way[j] = WIDER * fabs(coming[j]);
-    for (const Py_ssize_t k : survey.close) {
+    for (const ptrdiff_t k : survey.close) {
         const double enough = maximum(set.evades, taken(&survey, k, &motion));
         if (is_sharp(k) || !(clearances.data[k] < enough)) continue;
         if (count++ == 2 * SHARPENED_EARLY) return true;
@@ -424,7 +347,7 @@ bool Nearby::look_for_knot() {
 bool Nearby::look_for_gaps() {
     int count = 0;
     if (!(set.evades > 0.0) || !lacks_speed(evading_slope.data, WIDER)) return false;
-    for (const Py_ssize_t k : near) {
+    for (const ptrdiff_t k : near) {
         const size_t known = gaps_stamp == sharp_stamp ? gaps.size() : 0;
         gap_of(k);
         if (gaps.size() > known && ++count == GAPS_EARLY) return true;
@@ -436,7 +359,7 @@ void Nearby::prepare() {
     start_survey(&survey);
     sharp_stamp++;
     job = set.evades >= 0.0 ? DONE : IDLE; /* ahead there is something to do after the next knot */
-    coal.lose();
+    exact->lose();
     if (dt.data[0] > 0.0) set_watches(1.0 / dt.data[0], WATCHED);
     survey_anew(&survey, at.data, measured);
     sharpen(SHARPENED_AT_START);
@@ -476,23 +399,23 @@ bool Nearby::surveys(bool shorter) {
 }
 
 /* Clearance of a pair at x: a lower bound that is at least `enough`, else as coal says. */
-double Nearby::clearance_at(Py_ssize_t k, const double *x, double enough) {
+double Nearby::clearance_at(ptrdiff_t k, const double *x, double enough) {
     shapes.place(x);
     const double least = shapes.bound(k, INFINITY, GJK_SHARE) - margins.data[k];
     if (least >= enough) return least;
-    coal.place(x);
-    return coal.distance(k) - margins.data[k];
+    exact->place(x);
+    return exact->distance(k) - margins.data[k];
 }
 
 /* The same on the way back from a knot, a time before it: q'' is constant there. */
-double Nearby::clearance_before(Py_ssize_t k, const Arrival &to, double back, double enough) {
+double Nearby::clearance_before(ptrdiff_t k, const Arrival &to, double back, double enough) {
     for (size_t j = 0; j < coming.size(); j++) coming[j] = to.x[j] + (0.5 * back * to.curvature[j] - to.slope[j]) * back;
     return clearance_at(k, coming.data(), enough);
 }
 
 /* Whether a pair falls below `least` between two times before a knot, with clearances there, on a way that takes no more
  * than `way`. */
-bool Nearby::falls_below(Py_ssize_t k, const Arrival &to, double least, Sample late, Sample early, double way) {
+bool Nearby::falls_below(ptrdiff_t k, const Arrival &to, double least, Sample late, Sample early, double way) {
     if (0.5 * (late.clearance + early.clearance - way) >= least || way < BEND_SAMPLE) return false;
     const double middle = 0.5 * (late.back + early.back);
     const Sample there = {middle, clearance_before(k, to, middle, least)};
@@ -501,26 +424,26 @@ bool Nearby::falls_below(Py_ssize_t k, const Arrival &to, double least, Sample l
 }
 
 /* Whether a pair comes inside its margin, or closer inside it, on the way to a knot: Clearance._crosses. */
-bool Nearby::crosses(Py_ssize_t k, const Arrival &to, double way) {
+bool Nearby::crosses(ptrdiff_t k, const Arrival &to, double way) {
     const double before = clearance_before(k, to, to.span, 0.0), least = minimum(before, 0.0) - STANDING;
     const double after = clearance_at(k, to.x, least);
     return after < least || falls_below(k, to, least, {0.0, after}, {to.span, before}, way);
 }
 
-Py_ssize_t Nearby::stopping(Py_ssize_t place, double span) {
-    const Py_ssize_t nv = joints;
-    if (place < 0 || place >= knot_at.size / nv) throw nb::index_error("there is no such knot");
-    const Arrival to = {knot_at.data + place * nv, knot_slope.data + place * nv, knot_curvature.data + place * nv, span};
+ptrdiff_t Nearby::stopping(ptrdiff_t place, double span) {
+    const ptrdiff_t nv = joints;
+    if (place < 0 || place >= knot_positions.size / nv) throw std::out_of_range("there is no such knot");
+    const Arrival to = {knot_positions.data + place * nv, knot_slope.data + place * nv, knot_curvature.data + place * nv, span};
     double *way = motion.anew();
-    for (Py_ssize_t j = 0; j < nv; j++) way[j] = BENT_WAY * fabs((0.5 * span * to.curvature[j] - to.slope[j]) * span);
+    for (ptrdiff_t j = 0; j < nv; j++) way[j] = BENT_WAY * fabs((0.5 * span * to.curvature[j] - to.slope[j]) * span);
     survey_now(&survey, to.x, measured);
     follow(to.x);
     const auto used = [&] { return most_of_two(&survey, survey.weights.data(), way); };
     if (left_at(&survey, to.x) < used()) survey_anew(&survey, to.x, measured);
-    Py_ssize_t found = -1;
+    ptrdiff_t found = -1;
     if (used() <= left_at(&survey, to.x)) {
         found = -2;
-        for (const Py_ssize_t k : survey.close) {
+        for (const ptrdiff_t k : survey.close) {
             const double least = taken(&survey, k, &motion);
             if (bounded(k, to.x, least, SHARP) < least && crosses(k, to, least)) {
                 found = k;
@@ -529,7 +452,7 @@ Py_ssize_t Nearby::stopping(Py_ssize_t place, double span) {
         }
     }
     slack.data[0] = -1.0; /* every knot is looked at: from it the next one is prepared */
-    for (Py_ssize_t j = 0; j < nv; j++) coming[(size_t)j] = to.slope[j] * span;
+    for (ptrdiff_t j = 0; j < nv; j++) coming[(size_t)j] = to.slope[j] * span;
     job = IDLE;
     return found;
 }
@@ -545,8 +468,8 @@ bool Nearby::lacks_speed(const double *slope, double share) {
     double *speed = motion.anew();
     bool any = false;
     near.clear();
-    for (Py_ssize_t j = 0; j < joints; j++) speed[j] = share * fabs(slope[j]);
-    for (const Py_ssize_t k : survey.close) {
+    for (ptrdiff_t j = 0; j < joints; j++) speed[j] = share * fabs(slope[j]);
+    for (const ptrdiff_t k : survey.close) {
         if (!(bounded(k, at.data, set.evades, ROUGH) < set.evades)) continue;
         near.push_back(k);
         any = any || least_speed_of(clearances.data[k] - (set.evades - EVADES_EARLY)) > -taken(&survey, k, &motion);
@@ -555,7 +478,7 @@ bool Nearby::lacks_speed(const double *slope, double share) {
 }
 
 /* The gap of a pair where the joints are `at`, found once. */
-const Nearby::Gap &Nearby::gap_of(Py_ssize_t k) {
+const Nearby::Gap &Nearby::gap_of(ptrdiff_t k) {
     const double *x = at.data;
     if (gaps_stamp != sharp_stamp) gaps.clear(), gaps_stamp = sharp_stamp;
     for (const Gap &gap : gaps)
@@ -563,7 +486,7 @@ const Nearby::Gap &Nearby::gap_of(Py_ssize_t k) {
     Gap found = {k, 0.0, {}};
     shapes.place(x);
     found.clearance = shapes.gap(k, found.ends) - margins.data[k];
-    if (isnan(found.ends[3])) found.clearance = asked(k, x), coal.ends(k, found.ends);
+    if (isnan(found.ends[3])) found.clearance = asked(k, x), exact->ends(k, found.ends);
     gaps.push_back(found);
     return gaps.back();
 }
@@ -576,7 +499,7 @@ bool Nearby::evade() {
     std::vector<double> row((size_t)joints);
     bool any = false;
     evasion.begin();
-    for (const Py_ssize_t k : near) {
+    for (const ptrdiff_t k : near) {
         const Gap &gap = gap_of(k);
         if (!(gap.clearance < set.evades)) continue;
         const Eigen::Map<const Vector3> normal(gap.ends), point(gap.ends + 3);
@@ -584,7 +507,7 @@ bool Nearby::evade() {
         double speed = 0.0;
         shapes.place(x);
         for (size_t j = 0; j < row.size(); j++) {
-            const double kind = kinds.data[k * joints + (Py_ssize_t)j];
+            const double kind = kinds.data[k * joints + (ptrdiff_t)j];
             row[j] = kind != 0.0 ? kind * force.dot(shapes.twist(j)) : 0.0;
             speed += row[j] * evading_slope.data[j];
         }

@@ -5,8 +5,9 @@
 
 #include <vector>
 
-#include "binding/arrays.h"
+#include "spans.h"
 #include "constants.h"
+#include "rounded.h"
 #include "spatial.h"
 
 /* p = p_C + α e_0 + β e_1, R = R_C exp(α w_0) exp(β w_1); on a line α is the share of it, and β is 0. */
@@ -48,7 +49,7 @@ static double cut_of(const RoundedLine &before, const RoundedLine &behind, doubl
     return longest;
 }
 
-static std::vector<RoundedPiece> pieces_of(const In &poses, const In &deviations) {
+static std::vector<RoundedPiece> pieces_of(Read poses, Read deviations) {
     const size_t count = (size_t)poses.size / 12 - 1;
     const Pose *const given = reinterpret_cast<const Pose *>(poses.data);
     std::vector<RoundedLine> lines;
@@ -78,24 +79,21 @@ static std::vector<RoundedPiece> pieces_of(const In &poses, const In &deviations
     return pieces;
 }
 
-/* rounded(poses, deviations, settings, s, rows, motion): samples of lines between poses (M, 12) whose corners are rounded
- * off with deviations (M − 2); settings: the longest step [m], and how many a piece has at least. Returns how many there
- * are, and fills s, rows (12 each) and the motion to each but the first (2) if they have room. */
-static Py_ssize_t rounded(const In &poses, const In &deviations, const In &settings, Out &s, Out &rows, Out &motion) {
+ptrdiff_t rounded(Read poses, Read deviations, Read settings, Write s, Write rows, Write motion) {
     check_fit(poses.size >= 24 && poses.size == 12 * (deviations.size + 2) && settings.size == 2 && s.size > 0);
     check_fit(rows.size == 12 * s.size && motion.size == 2 * (s.size - 1));
     const std::vector<RoundedPiece> pieces = pieces_of(poses, deviations);
-    std::vector<Py_ssize_t> counts;
-    Py_ssize_t total = 1;
+    std::vector<ptrdiff_t> counts;
+    ptrdiff_t total = 1;
     for (const RoundedPiece &piece : pieces) {
         const double steps = maximum(ceil(piece.length / settings.data[0]), settings.data[1]);
         check_fit(steps < 1e6, "the way is too long");
-        counts.push_back((Py_ssize_t)steps);
+        counts.push_back((ptrdiff_t)steps);
         total += counts.back();
     }
     if (total > s.size) return total;
     double mark = 0.0;
-    Py_ssize_t k = 0;
+    ptrdiff_t k = 0;
     const auto put = [&](const RoundedPiece &piece, const RoundedPlace &at, double along) {
         const Matrix3 R = piece.T.R * exp3(at.a * piece.turns[0]) * exp3(at.b * piece.turns[1]);
         reinterpret_cast<Pose *>(rows.data)[k] = {R, piece.T.p + at.a * piece.ways[0] + at.b * piece.ways[1]};
@@ -105,7 +103,7 @@ static Py_ssize_t rounded(const In &poses, const In &deviations, const In &setti
         const RoundedPiece &piece = pieces[i];
         const double count = (double)counts[i];
         RoundedPlace at(0.0, piece.bent);
-        for (Py_ssize_t j = 0; j < counts[i]; j++, k++) {
+        for (ptrdiff_t j = 0; j < counts[i]; j++, k++) {
             put(piece, at, mark + (double)j / count * piece.length);
             const RoundedPlace next((double)(j + 1) / count, piece.bent);
             double *const moved = motion.data + 2 * k; /* α′ falls and β′ grows along a blend */
@@ -118,5 +116,3 @@ static Py_ssize_t rounded(const In &poses, const In &deviations, const In &setti
     }
     return total;
 }
-
-void bind_rounded(nb::module_ &m) { m.def("rounded", rounded); }

@@ -18,6 +18,7 @@
 #include <vector>
 
 #include "bounds.h"
+#include "spans.h"
 
 /* Pieces of a survey, of so many pairs at least, and at most until there are MOST_PIECES of them; shares of the certificate
  * that are left where a survey begins, and where it is finished at once; a close pair is close no longer beyond this many
@@ -59,7 +60,7 @@ struct Lever {
 
 struct Survey {
     using Vector = std::vector<double>;
-    Py_ssize_t pairs = 0, joints = 0;
+    ptrdiff_t pairs = 0, joints = 0;
     double *clearances = nullptr, *at = nullptr; /* clearances of close pairs hold where the joints are `at` */
     const double *continuous = nullptr, *arm = nullptr; /* of each joint */
     double range = 0.0, spare = 0.0;
@@ -72,14 +73,14 @@ struct Survey {
     Way moved;              /* from the reference to the goal */
     Way way, back;          /* scratch */
     bool known = false, under_way = false;
-    Py_ssize_t cursor = 0;
-    std::vector<Py_ssize_t> close;
+    ptrdiff_t cursor = 0;
+    std::vector<ptrdiff_t> close;
     std::vector<char> is_close;
 };
 
 static inline void way_between(const Survey *s, const double *a, const double *b, Way *found) {
     double *way = found->anew();
-    for (Py_ssize_t j = 0; j < s->joints; j++) {
+    for (ptrdiff_t j = 0; j < s->joints; j++) {
         way[j] = fabs(a[j] - b[j]);
         if (s->continuous[j] != 0.0 && fabs(TURN - way[j]) < way[j]) way[j] = fabs(TURN - way[j]);
     }
@@ -96,13 +97,13 @@ static inline double taken_by(const Survey *s, size_t l, Way *way) {
     return way->taken[l] = sum;
 }
 
-static inline double taken(const Survey *s, Py_ssize_t k, Way *way) {
+static inline double taken(const Survey *s, ptrdiff_t k, Way *way) {
     const std::array<int, 2> sides = s->sides[(size_t)k];
     return taken_by(s, (size_t)sides[0], way) + taken_by(s, (size_t)sides[1], way);
 }
 
 /* Each joint's weight becomes at least the pair's reach over its clearance; 0 if there is none beside what is spared. */
-static inline bool weigh(const Survey *s, Py_ssize_t k, Weights *weights) {
+static inline bool weigh(const Survey *s, ptrdiff_t k, Weights *weights) {
     const double clearance = s->clearances[k] - s->spare;
     if (!(clearance > 0.0)) return false;
     for (const int l : s->sides[(size_t)k]) {
@@ -120,7 +121,7 @@ static inline bool weigh(const Survey *s, Py_ssize_t k, Weights *weights) {
 /* The sum of weights times a way over the joints of the two arms where it is largest. */
 static inline double most_of_two(const Survey *s, const double *weights, const double *way) {
     double first = 0.0, second = 0.0, sum = 0.0;
-    for (Py_ssize_t j = 0; j < s->joints; j++) {
+    for (ptrdiff_t j = 0; j < s->joints; j++) {
         sum += weights[j] * way[j];
         if (j + 1 < s->joints && s->arm[j + 1] == s->arm[j]) continue;
         if (sum > first) second = first, first = sum;
@@ -150,9 +151,9 @@ static inline void begin_survey(Survey *s, const double *x) {
 
 /* Pairs that are far by now leave the close ones, and the certificate is that of the survey. */
 static inline void end_survey(Survey *s) {
-    Py_ssize_t kept = 0;
+    ptrdiff_t kept = 0;
     way_between(s, s->at, s->goal.data(), &s->back);
-    for (const Py_ssize_t k : s->close) {
+    for (const ptrdiff_t k : s->close) {
         const double clearance = s->clearances[k] - taken(s, k, &s->back);
         if (clearance - s->spare > LEAVES * s->range) {
             s->clearances[k] = clearance, s->is_close[(size_t)k] = 0;
@@ -169,11 +170,11 @@ static inline void end_survey(Survey *s) {
 /* Look at some more pairs. `measured(k)` is a lower bound of a pair's clearance where the joints are `at`; it is asked for
  * pairs that may be close by now. */
 template <typename Measured>
-static void go_on(Survey *s, Py_ssize_t pairs, Measured &&measured) {
+static void go_on(Survey *s, ptrdiff_t pairs, Measured &&measured) {
     const double *moved = s->moved.taken.data(), *least = s->made.least.data(), far = s->range + s->spare;
     way_between(s, s->goal.data(), s->at, &s->back);
     for (; s->cursor < s->pairs && pairs > 0; s->cursor++, pairs--) {
-        const Py_ssize_t k = s->cursor;
+        const ptrdiff_t k = s->cursor;
         if (s->is_close[(size_t)k]) continue;
         const auto [a, b] = s->sides[(size_t)k];
         double &clearance = s->clearances[k];
@@ -195,9 +196,9 @@ static void go_on(Survey *s, Py_ssize_t pairs, Measured &&measured) {
     if (s->cursor == s->pairs) end_survey(s);
 }
 
-static inline Py_ssize_t piece_of(const Survey *s) {
-    const Py_ssize_t most = std::max<Py_ssize_t>(LARGE_PIECE, s->pairs / MOST_PIECES);
-    return std::clamp<Py_ssize_t>(s->pairs / PIECES, LEAST_PIECE, most);
+static inline ptrdiff_t piece_of(const Survey *s) {
+    const ptrdiff_t most = std::max<ptrdiff_t>(LARGE_PIECE, s->pairs / MOST_PIECES);
+    return std::clamp<ptrdiff_t>(s->pairs / PIECES, LEAST_PIECE, most);
 }
 
 /* A piece of a survey at x, or half of one, if one is under way, or due because no more than a share is left; whether there
@@ -213,7 +214,7 @@ static bool survey_piece(Survey *s, const double *x, double share, bool shorter,
 /* A whole survey at x. */
 template <typename Measured>
 static void survey_anew(Survey *s, const double *x, Measured &&measured) {
-    const Py_ssize_t every = s->pairs * (1 + MEASURING);
+    const ptrdiff_t every = s->pairs * (1 + MEASURING);
     if (s->under_way) go_on(s, every, measured);
     begin_survey(s, x);
     go_on(s, every, measured);
@@ -237,7 +238,7 @@ static inline void start_survey(Survey *s) {
 /* The joints are at x: close pairs lose the most clearance that this way can take. */
 static inline void follow_close(Survey *s, const double *x) {
     way_between(s, x, s->at, &s->way);
-    for (const Py_ssize_t k : s->close) s->clearances[k] -= taken(s, k, &s->way);
+    for (const ptrdiff_t k : s->close) s->clearances[k] -= taken(s, k, &s->way);
     memcpy(s->at, x, sizeof(double) * (size_t)s->joints);
 }
 
@@ -246,30 +247,30 @@ static inline bool certify_all(Survey *s, double *weights) {
     const double left = left_at(s, s->at);
     if (!(left > 0.0)) return false;
     s->all.clear();
-    for (const Py_ssize_t k : s->close)
+    for (const ptrdiff_t k : s->close)
         if (!weigh(s, k, &s->all)) return false;
     for (size_t j = 0; j < (size_t)s->joints; j++) weights[j] = fmax(s->weights[j] / left, s->all.joint[j]);
     return true;
 }
 
 /* Over memory for clearances and joints, with reaches (joints, pairs). */
-static inline void build_survey(Survey *s, Py_ssize_t pairs, Py_ssize_t joints, double *clearances, double *at,
+static inline void build_survey(Survey *s, ptrdiff_t pairs, ptrdiff_t joints, double *clearances, double *at,
                                 const double *reach, const double *continuous, const double *arm) {
     using Reaches = std::vector<double>;
-    std::map<std::pair<Py_ssize_t, Reaches>, int> levers;
+    std::map<std::pair<ptrdiff_t, Reaches>, int> levers;
     s->pairs = pairs, s->joints = joints, s->clearances = clearances, s->at = at;
     s->continuous = continuous, s->arm = arm;
     s->lever.assign(1, Lever{});
-    for (Py_ssize_t k = 0; k < pairs; k++) {
+    for (ptrdiff_t k = 0; k < pairs; k++) {
         std::array<int, 2> sides = {0, 0};
         int count = 0;
-        for (Py_ssize_t begin = 0, end; begin < joints; begin = end) {
-            Py_ssize_t first = -1, last = -1;
+        for (ptrdiff_t begin = 0, end; begin < joints; begin = end) {
+            ptrdiff_t first = -1, last = -1;
             for (end = begin; end < joints && arm[end] == arm[begin]; end++)
                 if (reach[end * pairs + k] != 0.0) first = first < 0 ? end : first, last = end;
             if (first < 0) continue;
             Reaches own;
-            for (Py_ssize_t j = first; j <= last; j++) own.push_back(reach[j * pairs + k]);
+            for (ptrdiff_t j = first; j <= last; j++) own.push_back(reach[j * pairs + k]);
             const auto [found, is_new] = levers.emplace(std::pair(first, own), (int)s->lever.size());
             check_fit(count < 2, "a pair moves with two arms at most");
             sides[count++] = found->second;

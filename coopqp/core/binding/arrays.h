@@ -8,14 +8,16 @@
 
 #include <utility>
 
+#include "../spans.h"
+
 namespace nb = nanobind;
 
 /* `T` is double, or const double for those that are only read. With `OR_NONE` it may be None: data is null then. */
 template <typename T, bool OR_NONE = false>
-class Numbers {
+class Numbers : public Span<T> {
 public:
-    T *data = nullptr;
-    Py_ssize_t size = 0;
+    using Span<T>::data;
+    using Span<T>::size;
 
     Numbers() = default;
     Numbers(Numbers &&other) noexcept { *this = std::move(other); }
@@ -58,21 +60,29 @@ struct nanobind::detail::type_caster<Numbers<T, OR_NONE>> {
 template <typename T>
 struct nanobind::detail::has_arg_defaults<Numbers<T, true>> : std::true_type {}; /* None is no wrong argument */
 
+/* Of functions of the core itself. */
+template <typename T>
+struct nanobind::detail::type_caster<Span<T>> {
+    Numbers<T> value;
+    static constexpr auto Name = type_caster<Numbers<T>>::Name;
+    template <typename>
+    using Cast = Span<T>;
+    bool from_python(handle src, uint32_t, cleanup_list *) noexcept { return value.take(src.ptr()); }
+    template <typename>
+    bool can_cast() const noexcept {
+        return true;
+    }
+    explicit operator Span<T>() { return value; }
+};
+
 using Out = Numbers<double>;
 using In = Numbers<const double>;
 using InOrNone = Numbers<const double, true>;
-
-inline void check_fit(bool good, const char *what = "the arrays do not fit together") {
-    if (!good) throw nb::value_error(what);
-}
 
 /* The parts of the module. */
 void bind_step(nb::module_ &m);
 void bind_kinematics(nb::module_ &m);
 void bind_distances(nb::module_ &m);
-void bind_edges(nb::module_ &m);
-void bind_rounded(nb::module_ &m);
-void bind_clock(nb::module_ &m);
 void bind_constants(nb::module_ &m);
 void bind_structs(nb::module_ &m);
 

@@ -8,9 +8,6 @@ NB_MODULE(_core, m) {
     bind_step(m);
     bind_kinematics(m);
     bind_distances(m);
-    bind_edges(m);
-    bind_rounded(m);
-    bind_clock(m);
     bind_constants(m);
     bind_structs(m);
 }
