@@ -33,7 +33,7 @@ from coopqp.model.grasp import Grasp, held_at
 from coopqp.model.state import CellState
 from coopqp.paths.elbows import Elbows
 from coopqp.paths.grasp_motion import GraspMotion
-from coopqp.paths.guarded import GuardedPath, is_known
+from coopqp.paths.guarded import GuardedPath
 from coopqp.paths.moving_grasps import HOLD_ON, grasp_at, refuse_motion
 from coopqp.paths.path import HoldPath, ObjectPath
 from coopqp.paths.servo import ServoPath
@@ -93,7 +93,9 @@ class QPController(OperatorCalls):
         self._loop = CoreLoop(cell, grasp, dt=self.dt, options=self.options, constraints=self._checked)
         self.solver = self._loop.solver.name
         self._operator = Operator(cell, grasp, self._loop, path, dt=self.dt, options=self.options)
-        self._loop.take_look(self._look)
+        self._loop.call(poll=self._before, look=self._after)
+        #: The core's step.
+        self._step = self._loop.step
         self._started = self._outside = self._minded = False
         #: By how much the tools are elsewhere on the object than the grasp says (N, 6); None if they are not.
         self._shift: Array | None = None
@@ -130,7 +132,7 @@ class QPController(OperatorCalls):
         self._check_path(path)
         begin = self._operator.restart(path, clock)
         self._loop.follow(self._operator.way.path, self._operator.way)
-        self._find_fast_step()
+        self._attend()
         return begin
 
     def _check_motion(self, grasps: GraspMotion) -> None:
@@ -148,20 +150,11 @@ class QPController(OperatorCalls):
                 "its tools move on the object, and the grasps were shifted", "QPController: path", "Shift them back."
             )
 
-    def _find_fast_step(self) -> None:
-        operator = self._operator
-        #: The core's own step, where nothing needs Python.
-        self._fast: Callable[[Any, Any], ControlStep | None] | None = None
-        if (
-            self._started
-            and not self._outside
-            and is_known(operator.way.path)
-            and operator.quiet
-            and (not self.constraints or self._checked.certified is not None)
-        ):
-            self._fast = self._loop.step
-        if self._waiting:
-            self._fast = None
+    def _attend(self) -> None:
+        """Let the core call in each step, where an operator or a start has something to say."""
+        self._loop.polled = not self._started or self._outside or not self._operator.quiet
+        if self._waiting:  # also what has come meanwhile
+            self._loop.polled = True
 
     def _soon(self, name: str, value: Any, call: Callable[[], object]) -> None:
         """Make an operator's call: at once, or in the next step where another thread steps this controller."""
@@ -174,7 +167,7 @@ class QPController(OperatorCalls):
             waits = True
         if waits:
             self._waiting.put(kind_of(name, value), (name, call))
-            self._fast = None
+            self._loop.polled = True
             return
         try:
             self._catch_up()  # what others have asked for before
@@ -472,7 +465,7 @@ class QPController(OperatorCalls):
             clock = self._operator.clock
             act(self._operator)
             self._operator.note(call, value, clock)
-            self._find_fast_step()
+            self._attend()
 
         self._soon(call, value, done)
 
@@ -588,35 +581,25 @@ class QPController(OperatorCalls):
                 asks for from another thread (:meth:`pause`, :meth:`resume`, :meth:`set_override`, :meth:`retarget`,
                 :meth:`follow`, :meth:`shift_grasp`) is no such call: it waits for the next step.
         """
-        fast = self._fast
-        if fast is not None:
-            try:
-                step = fast(q_measured, dt)
-            except (ValueError, TypeError, BufferError):  # q_measured is no plain array
-                return self._slow(q_measured, dt)
-            return self._finish() if step is None else step
+        return self._step(q_measured, dt)
+
+    def _before(self, dt: Any) -> None:
+        """What is due before a step, where the core calls: of calls from other threads, and of an operator."""
         if not self._started:
             raise InvalidInputError("step before reset", "QPController", "Call reset(q) first.")
-        return self._slow(q_measured, dt)
-
-    @alone
-    def _finish(self) -> ControlStep:
-        return self._loop.finish()
-
-    @alone
-    def _slow(self, q_measured: ArrayLike | None, dt: Any) -> ControlStep:
-        self._loop.steps_here()
         operator = self._operator
         if self._waiting:
             operator.looked = False
             self._catch_up(in_step=True)
-            self._find_fast_step()
         if operator.gear is not None and not self._minded:
             operator.override = operator.override if (share := operator.geared()) is None else share
         operator.before(self.accepted_dt(dt))
-        step = self._loop.careful_step(q_measured, dt)
-        operator.tell(step)
-        ended = operator.passed(step)  # on the way that this step has gone, which may be new
+
+    def _after(self, step: ControlStep, due: bool) -> None:
+        """What there is to say of a step, where the core calls."""
+        self._operator.tell(step)
+        if due:
+            self._operator.look(step)  # on the way that this step has gone, which may be new
         if self._outside:  # it started there: say so until it is mended
             off_path = step.status is Status.OFF_PATH or step.status in (Status.HOLDING, Status.FAULT)
             by_hand = off_path or step.status is Status.JOGGING
@@ -626,15 +609,7 @@ class QPController(OperatorCalls):
                 amend(step, reason="; ".join(filter(None, (step.reason, *warned))))
             else:
                 self._outside = False
-        self._find_fast_step()
-        if ended:
-            self._fast = None
-        return step
-
-    def _look(self, step: ControlStep) -> None:
-        """At a step of the core's own, where that is due: note what an operator's way needs."""
-        if self._operator.look(step):
-            self._fast = None
+        self._attend()
 
     # -- copies ----------------------------------------------------------------------------------------------------
 
@@ -656,7 +631,7 @@ class QPController(OperatorCalls):
         self._started, self._outside = started, outside
         self._operator.restore(operator)
         self._loop.restore(memory)
-        self._find_fast_step()
+        self._attend()
         if shift is not None:
             self.take_shift(shift)()
 

@@ -6,7 +6,7 @@
 constexpr int BISECTIONS = 40; /* of a share that breaks rows least */
 
 /* Joint velocities for one world twist of each arm, of the floored inverses. */
-static void floored_velocities(const Core *c, const Twists &w, Vector &v) {
+static void floored_velocities(const Core *c, const double *jacobian, const Twists &w, Vector &v) {
     ArmRows6 P;
     ArmSquare N;
     GroupRows all;
@@ -17,14 +17,14 @@ static void floored_velocities(const Core *c, const Twists &w, Vector &v) {
         if (const Group *g = group_of(c, k)) {
             GroupTwists twists(6 * g->arms);
             for (int i = 0; i < g->arms; i++) twists.segment<6>(6 * i) = w.col(g->arm[i]);
-            any_inverse(stacked(c, *g, c->jacobian), gathered(*g, c->scale), all, none);
+            any_inverse(stacked(c, *g, jacobian), gathered(*g, c->scale), all, none);
             const GroupVector found = all.lazyProduct(twists);
             for (int j = 0; j < g->joints; j++) v[g->joint[j]] = found[j];
             continue;
         }
         const ArmJoints &a = joints_of(c, k);
         double columns[6 * MOST_JOINTS], room[2][MOST_JOINTS], *own = place_for(a, v, room[0]);
-        const OfArm J(side_by_side(a, c->jacobian, 6, columns), 6, a.n);
+        const OfArm J(side_by_side(a, jacobian, 6, columns), 6, a.n);
         any_inverse(ArmColumns(J), Given(side_by_side(a, c->scale, 1, room[1]), a.n), P, N);
         OfJoints(own, a.n) = P.lazyProduct(w.col(k));
         spread(a, own, v);
@@ -43,7 +43,7 @@ static void twists_of(const Core *c, const Vector &v, Twists &w) {
 /* Take from velocities what moves the object. */
 static void leave_self_motion(const Core *c, Twists &w, Vector &moving, Vector &v) {
     twists_of(c, v, w);
-    floored_velocities(c, w, moving);
+    floored_velocities(c, c->jacobian, w, moving);
     for (int k = 0; k < c->arms; k++) {
         if (!leads_group(c, k) || follows_way(c, k)) continue;
         const bool redundant = joints_together(c, k) > 6 * (group_of(c, k) ? group_of(c, k)->arms : 1);
@@ -105,9 +105,9 @@ static void brake_now(Core *c) {
     Vector6 metric = Vector6::Ones(), mean = Vector6::Zero(), twist = Vector6::Zero();
     metric.tail<3>().setConstant(length * length);
     for (int k = 0; k < c->arms; k++) w.col(k) = turned(c->pose->R, c->offsets.col(k));
-    floored_velocities(c, w, offsets);
+    floored_velocities(c, c->jacobian, w, offsets);
     for (int k = 0; k < c->arms; k++) w.col(k) = turned(c->pose->R, c->grasp.col(k));
-    floored_velocities(c, w, grasp);
+    floored_velocities(c, c->jacobian, w, grasp);
     grasp += offsets;
     self = c->velocity;
     twists_of(c, self, w);
@@ -117,13 +117,13 @@ static void brake_now(Core *c) {
         const Vector6 own = grasps_move(c) ? Vector6(c->own_along.col(k)) : Vector6(c->along);
         along.col(k) = own, mean += own / c->arms, w.col(k) = twist;
     }
-    floored_velocities(c, w, object);
+    floored_velocities(c, c->jacobian, w, object);
     object += self;
     const Vector6 present = turned_back(c->pose->R, twist);
     const double size = mean.dot(metric.cwiseProduct(mean));
     const double rate = size > 0.0 ? max_of(mean.dot(metric.cwiseProduct(present)) / size, 0.0) : 0.0;
     for (int k = 0; k < c->arms; k++) w.col(k) = rate * turned(c->pose->R, along.col(k));
-    floored_velocities(c, w, path);
+    floored_velocities(c, c->jacobian, w, path);
     path += self;
     double least = INFINITY;
     p->grasp_share = p->path_share = 0.0, p->parting = 0.0, p->braked = 1.0, p->made = 0.0;

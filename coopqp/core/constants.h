@@ -11,7 +11,6 @@ constexpr double LIMIT_TOLERANCE = 1e-9; /* velocities within this of a limit ar
 constexpr double FASTEST_JOINT = 1e9; /* stands for the speed of a joint without velocity limit [rad/s or m/s] */
 constexpr double APPROACH_TIME = 0.05; /* an edge is approached no faster than its room over this time [s], */
 constexpr double APPROACH_STEPS = 5.0; /* and over this many steps */
-constexpr int MOST_TIGHTENINGS = 3; /* answers with rows that the one before broke by the bend of distances */
 
 /* -- chain ----------------------------------------------------------------------------------------------------------- */
 constexpr double SINGULAR_FLOOR = 1e-6; /* smaller singular values of A_k count as this in an inverse: commands stay finite */
@@ -71,8 +70,6 @@ constexpr int NEWTON_STEPS_AT_START = 1000; /* Newton steps that a reset may tak
 constexpr double STILL_OBJECT = 1e-6; /* an object this slow rests [m/s, rad/s] */
 constexpr double NOWHERE = 1e-9; /* length of the shortest way [s, at full speed] */
 constexpr double SHORTEST_CHANGE = 1e-4; /* the shortest time in which the motion changes [s] */
-constexpr double CHANGE_SHARE = 0.7; /* share of the accelerations that a change of the motion is planned with */
-constexpr double LARGEST_JUMP = 2.0 / STEPS_TO_FULL_SPEED; /* share of its speed by which a joint without acceleration limit jumps then, at most */
 constexpr int SPEEDS = 50; /* shares of the full speed that are compared */
 constexpr double RATE_TOLERANCE = 1e-9; /* a rate that falls by less does not fall */
 

@@ -40,8 +40,9 @@
 /* Unknowns of the condensed QP but for null-space motions: off-path twist, rate, shares of both corrections. */
 #define TWIST_AND_SHARES 9
 
-/* Whether no row can bind; how many rows there are; whether the command has made them tighter; to look around. */
-enum Question { ASK_CLEAR, ASK_ROWS, ASK_TIGHTER, ASK_SURVEY };
+/* Whether no row can bind; how many rows there are; whether the command has made them tighter; to look around; whether arms
+ * that attach are where they grasp. */
+enum Question { ASK_CLEAR, ASK_ROWS, ASK_TIGHTER, ASK_SURVEY, ASK_CONTACT };
 
 /* The joints that move the tool of an arm, from the base on: those that it shares, then its own. */
 struct ArmJoints {
@@ -77,6 +78,8 @@ struct Core {
     const Group *group = nullptr;
     int users_path = 0; /* the path is no one of the library: it may jump or bend where no breakpoint tells */
     int given_rows = 0, further_rows = 0; /* of this step: by constraints, and with those that brake all arms together */
+    bool asks_rows = false; /* constraints have rows */
+    bool contact_due = false, was_drifted = false; /* a change of contact is not taken yet; measurements had come before it */
     int knot_asked = 0, surveyed = 0; /* in this step: what bodies bound at a knot, a piece of what they ask for ahead */
     int asked = 0;        /* how often a user's path was asked for what is ahead */
     /* The path: duration, number of breakpoints, number of segments, breakpoints, segments of 29 numbers in the order of
@@ -96,7 +99,7 @@ struct Core {
     /* Another solver answers the QP whose base and columns are filled in, into `x` and `pull`; 0 if it has no answer. */
     int (*solve)(Core *c, int relax) = nullptr;
     int width = 0; /* columns of the QP: of its unknowns, and of those by which the chain may part */
-    /* Asks further constraints, whose rows go into the memory; −1 if they fail. */
+    /* Asks further constraints, whose rows go into the memory: one that fails makes the step hold. */
     long (*ask)(Core *c, Question question) = nullptr;
     /* Does a piece of what bodies ask for where the next knot is expected, in `evading_positions`, with the slope of the
      * last one in `evading_slope`; nullptr for none. 0 if there is nothing to do. */
@@ -121,10 +124,9 @@ struct Arithmetic {
     void (*start_path)(Core *c, double clock, double rate);
     void (*observe)(Core *c, const double *q, const double *dt);
     Outcome (*propose)(Core *c);
-    Outcome (*answer)(Core *c);
     Status (*commit)(Core *c);
-    int (*quiet)(const Core *c);
-    Outcome (*settle_step)(Core *c);
+    double (*try_step)(Core *c);
+    int (*jumps)(const Core *c, const double *velocity);
     int (*move_grasp)(Core *c, const double *shift);
     void (*mind)(Core *c, const double *wrenches, double dt);
     void (*minded)(Core *c);
@@ -132,9 +134,8 @@ struct Arithmetic {
     int (*least_distance)(int n, int m, const double *A, const double *low, const double *high, const double *lb,
                           const double *ub, double reach, double *x, double *y, double *work);
     /* Go over to the way to a new target if the rate of its first step need not fall, or where the object rests: 1, with
-     * the path in `numbers`; 0 if not yet; −1 where the rows of constraints are not known: an attempt in
-     * Python then asks for them. `full` is the largest rate asked for. */
-    int (*go_over)(Core *c, const double *goal, double speed, double spin, double rate, double *numbers, int rows);
+     * the path in `numbers`; 0 if not yet. `rate` is the largest one asked for. */
+    int (*go_over)(Core *c, const double *goal, double speed, double spin, double rate, double *numbers);
     /* The relaxation of forces, in its own memory; see relax.cpp and allow.cpp. `wrenches` may be nullptr. */
     Hearing (*relax)(int arms, Minding *m, const double *wrenches, double dt);
     void (*allow)(int arms, Minding *m, double dt);

@@ -73,6 +73,8 @@ static bool grasps_move(const Core *c);
 static void place_grasps(Core *c, double clock, const Twists &shift);
 /* The arms that hold the object at a clock have the shares in the common error, and are compared with each other. */
 static void take_contact(Core *c, double clock);
+/* Whether a change of contact up to a clock is not taken yet. */
+static bool contact_changes(const Core *c, double clock);
 /* Twist of a tool on the object, in the object frame. */
 static Vector6 twist_on_object(const Core *c, int k, double clock);
 /* The mean twist of each arm's view of the object over a span, as path_increment: into `own_along`. After that. */

@@ -67,6 +67,14 @@ static void take_contact(Core *c, double clock) {
     c->holding = Given(row + 1 + 6 * c->arms, c->arms);
 }
 
+static bool contact_changes(const Core *c, double clock) {
+    const double *row = contacts_of(c);
+    const int size = 1 + 7 * c->arms;
+    for (int i = 1; i < contact_count(c); i++)
+        if (row[i * size] > c->changed_at[0] && row[i * size] <= clock + SAME_CLOCK) return true;
+    return false;
+}
+
 /* M′ M⁻¹ = Ad(A S) t, with the body twist t of S. */
 static Vector6 twist_on_object(const Core *c, int k, double clock) {
     const double *piece = piece_at(c, k, clock);

@@ -13,8 +13,8 @@
 
 #define LISTED(name) name,
 
-/* How a command was found: nominal, at a slower rate on the path, by the QP; ASK: rows may bind that are not known yet. */
-#define OUTCOMES(NAME) NAME(NOMINAL) NAME(RAY) NAME(QP) NAME(ASK)
+/* How a command was found: nominal, at a slower rate on the path, by the QP. */
+#define OUTCOMES(NAME) NAME(NOMINAL) NAME(RAY) NAME(QP)
 enum Outcome { OUTCOMES(LISTED) };
 
 /* Members of LimitKind in Python, in their order. */

@@ -1,10 +1,14 @@
-/* Going over to a new target: the way there (coopqp/paths/servo.py defines it), and whether it is taken
- * (coopqp/control/retargeting.py). */
+/* Going over to a new target in motion: the way there (coopqp/paths/servo.py defines it), and whether it is taken: if the first
+ * step along it keeps to its rate and no joint jumps.
+ *
+ * The way begins at a rate: at the full one, or at the present one, then its twist is as much larger. If the object rests the
+ * way begins at rest, and so do the joints: self-motion that goes on there has to come to rest before. */
 
 #include "functions.h"
 
-/* A rate that falls by more does not only fall by rounding. */
-#define SURELY_LESS 1e-6
+constexpr double SURELY_LESS = 1e-6; /* a rate that falls by more does not only fall by rounding */
+constexpr double CHANGE_SHARE = 0.7; /* share of the accelerations that a change of the motion is planned with */
+constexpr double LARGEST_JUMP = 2.0 / STEPS_TO_FULL_SPEED; /* share of its speed by which a joint jumps */
 
 /* Start of a way, and its unknowns. */
 struct Way {
@@ -30,17 +34,20 @@ static double straight(Way *w) {
     return nominal;
 }
 
-/* Seconds that each joint takes for the present motion, and for the straight way at full speed; 0 if an arm is singular. */
-static int efforts(Core *c, const Way *w, const double *jacobian, Vector &before, Vector &after) {
-    Twists present = sketch_of(c).w;
-    present.colwise() = w->twist;
+/* Seconds that each joint takes for the present motion, and for the straight way at full speed. */
+static void ramp_times(Core *c, const Way *w, const double *jacobian, Vector &before, Vector &after) {
+    Twists twists = sketch_of(c).w;
+    twists.colwise() = w->twist;
     before.setZero(), after.setZero();
-    if (!two_velocities(c, jacobian, present, w->full, nullptr, nullptr, before, after)) return 0;
+    if (!two_velocities(c, jacobian, twists, w->full, nullptr, nullptr, before, after)) { /* an arm is singular */
+        floored_velocities(c, jacobian, twists, before);
+        twists.colwise() = w->full;
+        floored_velocities(c, jacobian, twists, after);
+    }
     for (int j = 0; j < c->joints; j++) {
         const double planned = CHANGE_SHARE * c->plan_acceleration[j];
         before[j] /= planned, after[j] /= planned;
     }
-    return 1;
 }
 
 /* The largest share of the full speed that leaves time to change the motion before and after. */
@@ -55,8 +62,8 @@ static double largest_speed(const Core *c, const double *before, const double *a
     return 0.0;
 }
 
-/* The segment of a way that begins at a clock; 0 if an arm is singular. */
-static int way_to(Core *c, Way *w, double clock, double *segment) {
+/* The segment of a way that begins at a clock. */
+static void way_to(Core *c, Way *w, double clock, double *segment) {
     Sketch s = sketch_of(c);
     Vector &before = s.step, &after = s.after;
     double end = 0.0, duration;
@@ -65,7 +72,7 @@ static int way_to(Core *c, Way *w, double clock, double *segment) {
     if (!(w->twist.cwiseAbs().maxCoeff() > STILL_OBJECT)) {
         w->twist.setZero();
         const double nominal = straight(w);
-        if (!efforts(c, w, s.jacobian, before, after)) return 0;
+        ramp_times(c, w, s.jacobian, before, after);
         for (int j = 0; j < c->joints; j++)
             if (!isfinite(c->acceleration[j])) { /* no joint stops from more than its full speed */
                 const double speed = isfinite(c->speed[j]) ? c->speed[j] : 1.0;
@@ -75,16 +82,16 @@ static int way_to(Core *c, Way *w, double clock, double *segment) {
     } else {
         double share = 1.0, nominal = 0.0, change = 0.0;
         w->full.setZero();
-        if (!efforts(c, w, s.jacobian, before, after)) return 0;
+        ramp_times(c, w, s.jacobian, before, after);
         w->begin = max_of(largest_size(before, c->joints), SHORTEST_CHANGE);
         for (int pass = 0; pass < 4; pass++) { /* the way begins where the present motion has died away */
             nominal = straight(w);
-            if (!efforts(c, w, s.jacobian, before, after)) return 0;
+            ramp_times(c, w, s.jacobian, before, after);
             share = largest_speed(c, before, after, nominal, &change);
             w->begin = max_of(change, SHORTEST_CHANGE);
         }
         nominal = straight(w);
-        if (!efforts(c, w, s.jacobian, before, after)) return 0;
+        ramp_times(c, w, s.jacobian, before, after);
         end = max_of(share * largest_size(after, c->joints), SHORTEST_CHANGE);
         duration = max_of(nominal / share + 0.5 * (w->begin + end), w->begin + end);
     }
@@ -93,7 +100,6 @@ static int way_to(Core *c, Way *w, double clock, double *segment) {
     segment[18] = clock, segment[19] = duration, segment[20] = 2.0;
     Eigen::Map<Vector6>(segment + 21) = w->twist;
     segment[27] = w->begin, segment[28] = end;
-    return 1;
 }
 
 /* Whether a joint without acceleration limit jumps from its last velocity to another; nullptr for rest. */
@@ -116,23 +122,9 @@ static int forbidden(Core *c, double rate) {
     return propose_capped(c) == RAY && c->proposal->new_rate < rate - SURELY_LESS;
 }
 
-/* The first step, with rows of constraints: as many as are in place, or where they are negative those that the memory
- * makes where they may bind. 1, or −1 where constraints fail. */
-static int first_step(Core *c, int rows) {
-    observe(c, nullptr, nullptr);
-    c->given_rows = std::max(rows, 0);
-    propose(c);
-    if (rows >= 0 || quiet_step(c) || c->ask(c, ASK_CLEAR) == 1) return 1;
-    const long found = c->ask(c, ASK_ROWS);
-    if (found < 0 || found > most_given(c)) return -1;
-    c->given_rows = (int)found;
-    answer(c);
-    return 1;
-}
-
 /* Try a path from the present clock on at a rate: 1 if its first step keeps to it, and no joint jumps; the joints may force
- * a rate above the cap. What was known ahead stays in the ring. −1 where the rows of constraints are not known. */
-static int admits(Core *c, const double *numbers, double rate, int needed, int rows) {
+ * a rate above the cap. What was known ahead stays in the ring. */
+static int admits(Core *c, const double *numbers, double rate, int needed) {
     const int kept = (int)c->ahead->count + (int)c->ahead->way + 2;
     const double clock = c->loop->clock, least = needed ? rate : 0.0;
     c->path_numbers = numbers;
@@ -145,19 +137,16 @@ static int admits(Core *c, const double *numbers, double rate, int needed, int r
         if (more < 0) return 0;
     }
     if (!needed) return 1;
-    const int found = first_step(c, rows);
-    if (found <= 0) return found;
-    return min_of(c->proposal->cap, c->proposal->new_rate) >= rate - RATE_TOLERANCE && !jumps(c, c->command);
+    return try_step(c) >= rate - RATE_TOLERANCE && !jumps(c, c->command);
 }
 
-static int go_over(Core *c, const double *goal, double speed, double spin, double rate, double *numbers, int rows) {
+static int go_over(Core *c, const double *goal, double speed, double spin, double rate, double *numbers) {
     const double clock = c->loop->clock, now = c->loop->rate, *present = c->path_numbers;
     Vector6 twist;
     Way w;
     w.goal = *reinterpret_cast<const Pose *>(goal), w.speed = speed, w.spin = spin;
-    if (c->few) return -1;
     stay_near(c, c->positions, 0.5 * CLOSE_BY);
-    if (!path_pose(c, clock, w.T) || !path_twist(c, clock, twist)) return -1;
+    if (!path_pose(c, clock, w.T) || !path_twist(c, clock, twist)) return 0;
     const bool rests = !((now * twist).cwiseAbs().maxCoeff() > STILL_OBJECT);
     if (rests ? jumps(c, nullptr) : !(rate > 0.0)) return 0; /* at rest self-motion has to end before the new way begins */
     if (rests) rate = 0.0;
@@ -165,9 +154,9 @@ static int go_over(Core *c, const double *goal, double speed, double spin, doubl
     const Loop loop = *c->loop;
     w.twist = (rests ? 0.0 : now / rate) * turned(w.T.R, twist);
     double *segment = numbers + 4;
-    if (!way_to(c, &w, clock, segment)) return -1;
+    way_to(c, &w, clock, segment);
     numbers[0] = c->duration, numbers[1] = numbers[2] = 1.0, numbers[3] = clock + segment[19];
-    const int taken = admits(c, numbers, rate, !rests, rows);
+    const int taken = admits(c, numbers, rate, !rests);
     const Loop now_quiet = *c->loop; /* regions that are known now */
     *c->loop = loop;
     c->loop->quiet_ahead = now_quiet.quiet_ahead;

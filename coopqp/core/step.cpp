@@ -3,6 +3,7 @@
 #include "functions.h"
 #include "minding.h"
 
+constexpr int MOST_TIGHTENINGS = 3; /* answers with rows that the one before broke by the bend of distances */
 constexpr double LEAST_PACE = 1e-3; /* the increment along the path is the mean over this share of a step at least */
 constexpr int MOST_PACES = 4; /* answers over another share of the clock, where a step takes another one than expected, */
 constexpr double SAME_PACE = 1e-6; /* which differs by more than this of itself, */
@@ -73,7 +74,9 @@ static void hold_here(Core *c) {
     *c->pose = compose(first, exp6(mean));
 }
 
-/* Time constant of the filter of the measured object error: filter_time() of coopqp/control/step/contact.py. */
+/* Time constant of the filter of the measured object error while h of N arms hold: T (N/h)². The path correction takes up to
+ * K / (2 ω (1 + ω² T²)) from the damping ratio of a mode at ω in which the object swings on its arms, with the gain K. Fewer arms
+ * hold it less stiffly, with ω² smaller by h/N: for ω T > 1/3 the share that is taken does not grow then. */
 static double measurement_time(const Core *c) {
     const double fewer = c->arms / c->holding.sum();
     return fewer * fewer * c->options->measurement_time;
@@ -154,6 +157,8 @@ static void observe(Core *c, const double *q, const double *dt) {
     }
     if (q && !believe(c, q, positions)) q = nullptr;
     stay_near(c, c->positions, 0.5 * CLOSE_BY);
+    c->contact_due = grasps_move(c) && contact_changes(c, c->loop->clock);
+    if (c->contact_due) c->was_drifted = c->loop->drifted, c->made = c->shares;
     if (grasps_move(c)) place_grasps(c, c->loop->clock, c->grasp_shift), take_contact(c, c->loop->clock);
     carry(c, c->positions, c->carried);
     const int was_lost = c->loop->path_lost == 1.0;
@@ -177,6 +182,23 @@ static void observe(Core *c, const double *q, const double *dt) {
     if (grasps_move(c)) watch_ways(c, c->loop->clock);
     p->has_measured = let_in(c, q ? positions : nullptr, q);
     if (goes_back(c)) p->has_measured = 1.0;
+}
+
+/* Take a change of contact that is due, or hold where an arm that attaches is not where it grasps. The object's measured error
+ * goes on as it was under the shares before it, which `made` has: Σ (s⁻ − s) (e − ē) stays. */
+static void change_contact(Core *c) {
+    Proposal *p = c->proposal;
+    const bool measured = p->has_measured && c->loop->drifted;
+    if (measured && c->was_drifted) {
+        const Vector6 kept = (c->made - c->shares).cwiseProduct(c->measured_away).rowwise().sum();
+        const Vector6 change = p->dt / (p->dt + measurement_time(c)) * kept;
+        c->latched += kept, c->drift += change;
+        c->measured += (p->hold ? 0.0 : p->watch_cap) * change;
+    }
+    if (!measured) std::copy(c->carried, c->carried + c->arms, c->measured_carried);
+    const bool held = !(p->watch_cap > 0.0);
+    if (c->ask(c, ASK_CONTACT) > 0) c->changed_at[0] = c->loop->clock + SAME_CLOCK;
+    else if (!held) c->measured.setZero();
 }
 
 /* -- propose --------------------------------------------------------------------------------------------------------- */
@@ -570,42 +592,46 @@ static Outcome propose_capped(Core *c) {
     return answer(c);
 }
 
-/* Find the command; returns an outcome. Nothing of the state changes but the preview, which grows. */
-static Outcome propose(Core *c) {
+/* Find the command under the rows that there are; returns an outcome. */
+static Outcome propose_with_rows(Core *c) {
     c->proposal->cause.kind = NONE;
     find_cap(c);
     return propose_capped(c);
 }
 
-/* The outcome with all further rows, tightened if the command breaks their constraints; ASK where they
- * cannot be had so. */
-static Outcome answer_with_rows(Core *c) {
-    const long rows = c->ask(c, ASK_ROWS);
-    if (rows < 0 || rows > most_given(c)) return ASK;
-    c->given_rows = (int)rows;
-    Outcome outcome = answer(c);
-    for (int i = 0; rows && i < (int)MOST_TIGHTENINGS; i++) {
-        const long tighter = c->ask(c, ASK_TIGHTER);
-        if (tighter < 0) return ASK;
-        if (!tighter) break;
-        outcome = answer(c);
-    }
-    return outcome;
-}
-
-/* Find the command for the observed sample, asking for rows where they may bind. */
-static Outcome settle_step(Core *c) {
-    c->given_rows = c->knot_asked = c->surveyed = 0;
-    const Outcome outcome = propose(c);
-    if (c->options->certified == 0.0) return outcome;
-    if (quiet_step(c)) {
+/* The outcome with all further rows: those that are certified are asked for where they may bind, and tightened if the command
+ * breaks their constraints. */
+static Outcome settle_with_rows(Core *c) {
+    const bool certified = c->options->certified, held = c->proposal->hold;
+    Outcome outcome = NOMINAL;
+    c->given_rows = 0;
+    if (certified || !c->asks_rows) outcome = propose_with_rows(c);
+    if (!c->asks_rows) return outcome;
+    if (certified && quiet_step(c)) {
         if (!c->knot_asked) c->ask(c, ASK_SURVEY); /* not every piece of work on bodies in one step */
         return outcome;
     }
-    if (c->ask(c, ASK_CLEAR) == 1) return outcome;
-    const Outcome found = answer_with_rows(c);
-    c->proposal->outcome = found;
-    return found;
+    if (certified && c->ask(c, ASK_CLEAR) == 1) return outcome;
+    c->given_rows = (int)c->ask(c, ASK_ROWS);
+    const bool failed = !held && c->proposal->hold;
+    outcome = certified && !failed ? answer(c) : propose_with_rows(c);
+    for (int i = 0; c->given_rows && i < MOST_TIGHTENINGS && c->ask(c, ASK_TIGHTER) > 0; i++) outcome = answer(c);
+    return outcome;
+}
+
+/* Find the command for the observed sample; returns an outcome. Nothing of the state changes but the preview, which grows, and
+ * who is known to hold the object. */
+static Outcome propose(Core *c) {
+    if (c->contact_due) change_contact(c);
+    c->knot_asked = c->surveyed = 0;
+    return settle_with_rows(c);
+}
+
+/* The rate that a step from here would keep; its command stays in the proposal, and nobody commits it. */
+static double try_step(Core *c) {
+    observe(c, nullptr, nullptr);
+    settle_with_rows(c);
+    return c->proposal->braked ? 0.0 : min_of(c->proposal->cap, c->proposal->new_rate);
 }
 
 /* -- commit ---------------------------------------------------------------------------------------------------------- */

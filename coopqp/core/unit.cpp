@@ -41,8 +41,7 @@ namespace BUILD {
 #include "relax.cpp"
 #include "allow.cpp"
 
-const Arithmetic arithmetic = {start,       start_path, observe, propose,             answer,         commit,
-                               quiet_step, settle_step, move_grasp, mind, minded, carry_and_linearise, least_distance,
-                               go_over,     relax,      allow};
+const Arithmetic arithmetic = {start, start_path, observe, propose, commit, try_step, jumps, move_grasp, mind, minded,
+                               carry_and_linearise, least_distance, go_over, relax, allow};
 
 }  // namespace BUILD

@@ -310,20 +310,14 @@ class ForceController(OperatorCalls):
         minded = self._minded
         if self._maps is not None and wrenches is not None:
             wrenches = self._maps.wrenches(self._shaped(wrenches))
-        if minded is not None and self.controller._fast is not None:  # type: ignore[union-attr]
-            try:
-                step = minded(self._memory, q_measured, dt, wrenches)
-            except (ValueError, TypeError, BufferError):  # no plain arrays
-                return self._slow(q_measured, wrenches, dt)
-            if step is None:
-                return self._finish()
-            if step is not False:
+        if minded is not None:
+            if wrenches is not None:
+                wrenches = self._shaped(wrenches)
+            made: Any = minded(self._memory, q_measured, dt, wrenches)
+            if made is not False:
+                step: ControlStep = made
                 return step
         return self._slow(q_measured, wrenches, dt)
-
-    @alone
-    def _finish(self) -> ControlStep:
-        return self._made(self._qp._finish())
 
     @alone
     def _slow(self, q_measured: ArrayLike | None, wrenches: ArrayLike | None, dt: float | None) -> ControlStep:
@@ -374,18 +368,18 @@ class ForceController(OperatorCalls):
         if program is None and held.everywhere:
             m.look_at, self._leaves = np.inf, None
             return
-        controller, clock = self._qp, 0.0
+        controller, clock, due = self._qp, 0.0, False
         holds, bears, moved = everywhere(len(self.cell))
         if program is not None and controller.held is not None:
             motion, clock, taken = controller.held
-            holds = motion.holds(max(taken, 0.0))
+            holds, due = motion.holds(max(taken, 0.0)), any(taken < at <= clock + SAME_CLOCK for at in motion.changes)
             bears = bearing(holds, program, controller.program_clock, controller.sense)
             moved = held.moved if holds == held.holds else motion.placements(clock)
         relaxation.take_holding(holds, bears, moved, controller.commanded)
         left, after = self._next_change(program)
         gone = [k for k in range(len(holds)) if holds[k] and not after[k]] if np.isfinite(left) else []
         self._leaves = (gone[0], left) if gone and self._rests_in(left) else None
-        m.look_at = -np.inf if held.hands_over else clock + left - HAND_OVER_S - 3.0 * self.dt
+        m.look_at = -np.inf if held.hands_over or due else clock + left - HAND_OVER_S - 3.0 * self.dt
 
     def _next_change(self, program: GraspMotion | None) -> tuple[float, Holds]:
         """How far the next change of contact is ahead on the object's clock [s], and who holds the object after it."""

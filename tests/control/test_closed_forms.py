@@ -14,30 +14,33 @@ from cells import with_mismatch
 from coopqp import (
     BindingLimit,
     CommonError,
+    HoldPath,
     InvalidInputError,
     Knot,
     LimitKind,
     LinePath,
     PreviewOptions,
     QPController,
+    QPOptions,
     RobotCell,
+    ServoPath,
 )
 from coopqp.control import StallBound
 from coopqp.control.lookahead.options import PlanLimits
-from coopqp.control.lookahead.ramp_time import RampTime
 from coopqp.control.monitoring.stress import servo_wrenches, whole_compliance
 from coopqp.control.operator.hands import BELT_FILTER, BELT_SILENCE, HAND_FILTER, LAG_GAIN, Clutch, Gear
 from coopqp.control.operator.trail import Trail
-from coopqp.control.step.contact import Contact, filter_time, handed
+from coopqp.control.step.contact import refused
 from coopqp.control.step.decoding import reason
 from coopqp.control.step.start import check_start, held_command, rate_into, start_warning
 from coopqp.core import _core
 from coopqp.errors import StartWarning, StiffnessWarning
 from coopqp.model import CellState
+from coopqp.model.chain import Chain
 from coopqp.model.shapes import too_close
 from coopqp.paths.grasp_motion import GraspMotion
 from coopqp.scenarios import Scenario
-from coopqp.spatial import Array, skew
+from coopqp.spatial import Array
 
 # -- rates -------------------------------------------------------------------------------------------------------------
 
@@ -89,26 +92,41 @@ def test_the_rate_into_another_path_is_the_closest_one(rng: np.random.Generator)
 
 @pytest.mark.parametrize("limited", [True, False])
 def test_a_change_of_motion_takes_as_long_as_the_joints_need(paper: Scenario, limited: bool) -> None:
+    """From rest the way itself ends for joints without acceleration limit; in motion it begins and ends as they can."""
     acceleration = np.linspace(2.0, 8.0, 18) if limited else np.inf
     speed = np.where(np.arange(18) == 4, np.inf, np.linspace(1.0, 3.0, 18))
     cell, dt = paper.cell.with_limits(acceleration=acceleration, velocity=speed), 0.01
-    plan = PlanLimits.of(cell, PreviewOptions(), dt=dt)
-    usable, full = _core.CHANGE_SHARE * plan.acceleration, np.where(np.isfinite(speed), speed, 1.0)
-    ramp = RampTime(cell, paper.grasp, None, dt=dt)
-    np.testing.assert_allclose(ramp.stops, 0.0 if limited else full / usable)
-    state, origin = CellState(cell, paper.q_start), paper.path.pose(0.0)
-    unit = np.eye(6)
-    for k, own in enumerate(cell.columns):
-        R = state.T_world_tool[k].rotation
-        jacobian = np.vstack(
-            [R @ state.jacobian(k)[:3], R @ state.jacobian(k)[3:]]
-        )  # then moved to the object's origin
-        jacobian[:3] += skew(state.T_world_tool[k].translation - origin.translation) @ jacobian[3:]
-        times = ramp.at(paper.q_start, origin)[own] * usable[own][:, None]
-        np.testing.assert_allclose(jacobian @ times, unit, atol=1e-9)
-    jump = _core.LARGEST_JUMP * full
-    assert ramp.admits(0.999 * jump)
-    assert ramp.admits(-1.001 * jump) == limited
+    usable = 0.7 * PlanLimits.of(cell, PreviewOptions(), dt=dt).acceleration
+    path = ServoPath(paper.path.pose(0.0), speed=0.1, spin=0.2)
+    controller = QPController(cell, paper.grasp, path, dt=dt)
+    controller.reset(paper.q_start)
+
+    def times(way: Any, twist: Array) -> Array:
+        """Seconds that each joint takes for a world twist about the object's origin, where the way begins."""
+        chain = Chain(cell, paper.grasp)
+        chain.linearise(controller.commanded, way.start.translation)
+        found: Array = chain.joint_columns(twist[:, None])[:, 0] / usable
+        return found
+
+    controller.retarget(path.pose(0.0) * pin.exp6(np.array([0.02, 0.01, 0.0, 0.0, 0.1, 0.0])))
+    way: Any = path._way
+    nominal, full = way._straight(path.speed, path.spin)
+    stops = np.where(np.isfinite(speed), speed, 1.0) / usable
+    needs = 0.0 if limited else np.minimum(np.abs(times(way, full)), stops).max()
+    assert (way.begin, way.end) == (0.0, pytest.approx(needs, rel=1e-9))
+    assert way.duration == pytest.approx(nominal + 0.5 * way.end)
+    if not limited:
+        return
+    for _ in range(12):
+        controller.step()
+    aside = path.pose(controller.program_clock)
+    controller.retarget(aside * pin.exp6(np.array([0.2, 0.2, 0.0, 0.0, 0.1, 0.1])))
+    way = path._way
+    nominal, full = way._straight(path.speed, path.spin)
+    before, after = times(way, way.twist), times(way, full)
+    share = nominal / (way.duration - 0.5 * (way.begin + way.end))
+    assert way.end == pytest.approx(share * np.abs(after).max(), rel=1e-6)
+    assert way.begin == pytest.approx(np.abs(share * after - before).max(), rel=0.02)  # of the pass before
 
 
 # -- supervision -------------------------------------------------------------------------------------------------------
@@ -189,27 +207,16 @@ def test_what_robots_hold_is_near_what_is_measured(paper: Scenario) -> None:
 # -- contact -----------------------------------------------------------------------------------------------------------
 
 
-def letting_go(paper: Scenario) -> Contact:
+def letting_go() -> GraspMotion:
     """The second arm lets go at 1 s and holds again from 2 s on."""
-    motion = GraspMotion(
+    return GraspMotion(
         ((), (), ()), ((0.0, (True,) * 3), (1.0, (True, False, True)), (2.0, (True,) * 3)),
         attach_m=1e-3, attach_rad=0.01,
     )  # fmt: skip
-    return Contact(paper.cell, paper.grasp, motion)
-
-
-def test_changes_of_contact_are_due_once(paper: Scenario) -> None:
-    contact = letting_go(paper)
-    assert [contact.due(at, -1.0) for at in (0.5, 0.999, 1.0, 1.5)] == [False, False, True, True]
-    assert not contact.due(1.5, 1.0)
-    assert contact.due(2.0, 1.0)
-    assert contact.ahead(0.25) == pytest.approx(0.75)
-    assert contact.ahead(1.0) == pytest.approx(1.0)
-    assert contact.ahead(2.0) == np.inf
 
 
 def test_an_arm_attaches_where_it_grasps_only(paper: Scenario) -> None:
-    contact, here = letting_go(paper), paper.path.pose(0.0)
+    here, motion = paper.path.pose(0.0), letting_go()
     place = here * paper.grasp.T_object_tool[1]
 
     def carried(far: float, turn: float) -> list[pin.SE3]:
@@ -217,23 +224,40 @@ def test_an_arm_attaches_where_it_grasps_only(paper: Scenario) -> None:
         off = pin.SE3(pin.exp3(np.array([0.0, turn, 0.0])), np.array([far, 0.0, 0.0]))
         return [here, place * off * paper.grasp.T_object_tool[1].inverse(), here]
 
-    for far, turn, refused in ((9e-4, 9e-3, False), (1.1e-3, 0.0, True), (0.0, 0.011, True), (0.0, 0.0, False)):
-        said = contact.refused(2.0, 1.5, carried(far, turn))
-        assert said == (
+    def said_at(clock: float, taken: float, far: float, turn: float) -> str:
+        return refused(paper.cell, paper.grasp, motion, carried(far, turn), clock=clock, taken=taken)
+
+    for far, turn, held in ((9e-4, 9e-3, False), (1.1e-3, 0.0, True), (0.0, 0.011, True), (0.0, 0.0, False)):
+        assert said_at(2.0, 1.5, far, turn) == (
             f"arm {paper.cell.arm_names[1]} is {1e3 * far:.2f} mm and {np.rad2deg(turn):.2f}° from its grasp where it "
             "attaches (at most 1 mm and 0.57°)"
-            if refused
+            if held
             else ""
         )
-    assert contact.refused(1.5, 0.5, carried(0.1, 0.0)) == ""  # it lets go
-    assert contact.refused(2.5, 2.2, carried(0.1, 0.0)) == ""  # it held before
+    assert said_at(1.5, 0.5, 0.1, 0.0) == ""  # it lets go
+    assert said_at(2.5, 2.2, 0.1, 0.0) == ""  # it held before
 
 
-def test_fewer_arms_are_filtered_more_and_hand_over_without_a_jump(rng: np.random.Generator) -> None:
-    assert filter_time(0.1, [True] * 4) == pytest.approx(0.1)
-    assert filter_time(0.1, [True, False, True, False]) == pytest.approx(0.4)
-    before, now, away = rng.normal(size=(3, 3, 6))
-    np.testing.assert_allclose((now * away).sum(axis=0) + handed(now, before, away), (before * away).sum(axis=0))
+def test_fewer_arms_are_filtered_more_and_hand_over_without_a_jump(paper: Scenario) -> None:
+    """Where an arm lets go the object's measured error stays, and its filter is slower by (N/h)²."""
+    path, dt, T = HoldPath(paper.path.pose(0.0), duration=5.0), 0.01, QPOptions().measurement_time
+    path.grasps = letting_go()
+    options = QPOptions(common_error=CommonError.leaderless())
+    controller = QPController(paper.cell, paper.grasp, path, dt=dt, options=options)
+    controller.reset(paper.q_start)
+    at, off = controller._loop.at, np.linspace(-1e-4, 1e-4, 18)
+    while controller.program_clock < 1.0 - 1e-9:
+        controller.step(controller.commanded + off)
+    before, drift = at["shares"].reshape(3, 6).copy(), at["drift"].copy()
+    controller.step(controller.commanded + off)  # from 1 s on
+    now, away = at["shares"].reshape(3, 6), at["measured_away"].reshape(3, 6)
+    assert np.abs(now - before).max() > 0.1
+    kept = ((before - now) * away).sum(axis=0)
+    np.testing.assert_allclose(at["latched"], kept, rtol=0.0, atol=1e-15)
+    share = dt / (dt + T * (3 / 2) ** 2)
+    error = (now * at["errors"].reshape(3, 6)).sum(axis=0)
+    found = (now * (away + at["errors"].reshape(3, 6))).sum(axis=0) - error
+    np.testing.assert_allclose(at["drift"] - drift, share * (found + kept - drift), rtol=0.0, atol=1e-12)
 
 
 # -- hands, belts and trails -------------------------------------------------------------------------------------------

@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 
 from coopqp import Clearance, CollisionScene, Knot, QPController, Rank
-from coopqp.control.core.loop import CoreLoop
 from coopqp.model import CellState
 from coopqp.scenarios import elbow_and_knob, plate_and_post
 from coopqp.spatial import Array
@@ -25,12 +24,13 @@ class Slower:
         return np.eye(n), np.full(n, -0.3), np.full(n, 0.3)
 
 
-def _commands(make: Any, seed: int, *, rows: bool) -> tuple[Array, list[bool]]:
-    """Commanded configurations of a run by hand beside a body, and whether a command waits."""
+def _commands(make: Any, seed: int, *, rows: bool = False, **bound: Any) -> tuple[Array, list[bool]]:
+    """Commanded configurations of a run by hand beside a body, and whether commands wait; ``bound`` to the core."""
     task, rng = make(), np.random.default_rng(seed)
     cell = task.cell.with_limits(acceleration=5.0)
     constraints = [Slower()] if rows else [Clearance(CollisionScene.of(task, cell=cell, margin=0.02))]
     controller = QPController(cell, task.grasp, task.path, dt=0.008, constraints=constraints)
+    controller._loop._core.bind(**bound)
     controller.reset(task.q_start)
     q, waits = [], []
     for i in range(200):
@@ -43,25 +43,23 @@ def _commands(make: Any, seed: int, *, rows: bool) -> tuple[Array, list[bool]]:
     return np.array(q), waits
 
 
-@pytest.mark.parametrize(("make", "rows"), [(plate_and_post, False), (elbow_and_knob, False), (elbow_and_knob, True)])
-def test_the_core_takes_the_ways_that_an_attempt_in_python_takes(
-    make: Any, rows: bool, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    taken: list[bool | None] = []
-    own = CoreLoop.retarget_motion
+@pytest.mark.parametrize("make", [plate_and_post, elbow_and_knob])
+def test_the_same_ways_are_taken_where_the_rows_of_bodies_come_from_python(make: Any) -> None:
+    def fails(*_: Any) -> int:
+        raise RuntimeError("nothing is known")
 
-    def counted(loop: Any, *arguments: Any) -> bool | None:
-        taken.append(own(loop, *arguments))
-        return taken[-1]
-
-    monkeypatch.setattr(CoreLoop, "retarget_motion", counted)
-    q, waits = _commands(make, 1, rows=rows)
-    assert None not in taken  # the core has decided
-    assert True in taken
-    monkeypatch.setattr(CoreLoop, "retarget_motion", lambda *_: None)
-    attempted, waited = _commands(make, 1, rows=rows)
+    q, waits = _commands(make, 1)
+    asked, waited = _commands(make, 1, clear=fails, further_rows=fails, tightened=fails)
     assert waits == waited
-    np.testing.assert_allclose(q, attempted, atol=1e-8)
+    assert any(waits)
+    assert not all(waits)
+    np.testing.assert_allclose(q, asked, atol=1e-8)
+
+
+def test_beside_rows_of_the_users_own_the_object_goes_over_in_motion() -> None:
+    q, waits = _commands(elbow_and_knob, 1, rows=True)
+    assert not all(waits)
+    assert np.abs(np.diff(q[20:], axis=0)).max(axis=1).min() > 0.0
 
 
 def _by_hand(

@@ -43,7 +43,7 @@ pytestmark = pytest.mark.core
 
 #: The one that this processor runs, and the one that any can.
 ARITHMETICS = ("auto", "plain")
-NOMINAL, RAY, QP, ASK = range(len(native.OUTCOMES))
+NOMINAL, RAY, QP = range(len(native.OUTCOMES))
 SCENARIOS = [paper_lift, dual_arm7, mixed_cell, at_limit]
 
 
@@ -93,7 +93,7 @@ def test_both_arithmetics_agree(make: Callable[[], Scenario], shortcut: bool, ac
     loops = [loop_of(task, arithmetic=a, dt=dt, shortcut=shortcut, supervision=watched) for a in ARITHMETICS]
     q = None
     for i in range(120):
-        done = [loop.step(q, None) or loop.finish() for loop in loops]
+        done = [loop.step(q, None) for loop in loops]
         np.testing.assert_allclose(done[0].velocity, done[1].velocity, rtol=0.0, atol=1e-9, err_msg=f"step {i}")
         assert done[0].rate == pytest.approx(done[1].rate, abs=1e-8)
         assert done[0].status is done[1].status
@@ -153,7 +153,7 @@ def test_it_follows_paths_as_they_say(arithmetic: str, paper: Scenario, rng: np.
             core = core_of(loop)
             core.start_path(clock, 1.0)
             core.observe(None, None)
-            core.propose(0, False)
+            core.propose()
             pose, span = path.pose(clock), proposal(loop, "SPAN")
             assert 0.0 < span <= 0.01 + 1e-12  # less where the joints are slower than the path
             np.testing.assert_allclose(loop.at["pose"][:9].reshape(3, 3), pose.rotation, rtol=0.0, atol=1e-14)
@@ -206,7 +206,7 @@ def test_a_proposal_leaves_the_state_alone(arithmetic: str, paper: Scenario) -> 
     for i in range(60):
         core.observe(None, None)
         before = {name: loop.at[name].copy() for name in kept}
-        outcomes = {core.propose(0, False), core.propose(0, True)}  # again, as after a veto
+        outcomes = {core.propose(), core.propose()}  # again, as after a veto
         assert len(outcomes) == 1
         for name in kept:
             np.testing.assert_array_equal(loop.at[name], before[name], err_msg=name)
@@ -225,14 +225,14 @@ def test_a_joint_outside_its_limits_needs_a_qp(side: float, arithmetic: str, pap
     loop = loop_of(paper, arithmetic=arithmetic, dt=0.01)
     core = core_of(loop)
     core.observe(None, None)
-    assert core.propose(0, False) == NOMINAL
+    assert core.propose() == NOMINAL
     limits, x = paper.cell.limits, paper.q_start.copy()
     lower, upper = np.array(limits.lower), np.array(limits.upper)
     (upper if side > 0.0 else lower)[4] = x[4] - side * 1e-6
     loop = loop_of(limited(paper, lower=lower, upper=upper), arithmetic=arithmetic, dt=0.01)
     core = core_of(loop)
     core.observe(None, None)
-    assert core.propose(0, False) == QP
+    assert core.propose() == QP
     assert proposal(loop, "OUTSIDE") == 1.0
     assert side * core.commit().velocity[4] <= 0.0
 
@@ -315,7 +315,7 @@ def test_a_number_that_is_none_is_never_commanded(place: str, paper: Scenario) -
         loop = loop_of(task, arithmetic=arithmetic, dt=0.005, supervision=SupervisionOptions(stiffness=2e4))
         q = None
         for _ in range(6):
-            step = loop.step(q, None) or loop.finish()
+            step = loop.step(q, None)
             q = step.q_next
         kept = {name: numbers.copy() for name, numbers in loop.at.items()}
         for value in (np.nan, np.inf, -np.inf, 1e300):
@@ -339,11 +339,11 @@ def test_a_measurement_that_is_none_holds(value: float, paper: Scenario) -> None
         for i in range(18):
             q = paper.q_start.copy()
             q[i] = value
-            step = loop.step(q, None) or loop.finish()
+            step = loop.step(q, None)
             assert step.status.name == "HOLDING"
             assert step.reason == f"joint {paper.cell.joint_names[i]} has no finite measured position"
             assert np.isfinite(step.velocity).all()
-        assert (loop.step(None, value) or loop.finish()).reason.startswith("dt is not accepted")
+        assert loop.step(None, value).reason.startswith("dt is not accepted")
 
 
 # -- memory and arguments ----------------------------------------------------------------------------------------------
@@ -381,7 +381,7 @@ def test_a_core_is_built_once_and_before_it_is_used(paper: Scenario) -> None:
         core.__init__(*arguments)
     raw = native.Core.__new__(native.Core)
     for call in (
-        lambda: raw.step(None, None), lambda: raw.observe(None, None), lambda: raw.propose(0, False), raw.commit,
+        lambda: raw.step(None, None), lambda: raw.observe(None, None), lambda: raw.propose(), raw.commit,
         lambda: raw.advance(1, None), lambda: raw.start(np.zeros(18)),
         lambda: raw.start_path(0.0, 1.0), lambda: raw.bind(tell=None), raw.hold,
         lambda: raw.set_path(np.zeros(3), 1.0, False, False), raw.fields, lambda: raw.linearise(*[np.zeros(3)] * 4),
@@ -482,7 +482,7 @@ def test_arguments_that_are_none_are_refused(paper: Scenario) -> None:
     wrong: list[Any] = [q[:-1], q.astype(np.float32), q.tolist(), np.zeros(36)[::2], np.zeros((18, 2)), "q", 1.0, b"q"]
     for bad in wrong:
         for call in (
-            lambda x=bad: core.step(x, None), lambda x=bad: core.observe(x, None), lambda x=bad: core.start(x),
+            lambda x=bad: core.start(x),
             lambda x=bad: core.advance(1, x), lambda x=bad: core.linearise(x, np.zeros(3), np.zeros(36), np.zeros(108)),
         ):  # fmt: skip
             with pytest.raises((ValueError, TypeError, BufferError)):
@@ -494,11 +494,8 @@ def test_arguments_that_are_none_are_refused(paper: Scenario) -> None:
     frozen.flags.writeable = False
     with pytest.raises(TypeError):
         core.linearise(q, np.zeros(3), frozen, np.zeros(108))
-    for rows in (-1, 65, 10**12):
-        with pytest.raises(ValueError, match="no room"):
-            core.propose(rows, False)
     for call in (
-        lambda: core.propose("one", False), lambda: core.advance("one", None),
+        lambda: core.propose("one"), lambda: core.advance("one", None),
         lambda: core.advance(1, 2, 3),
         lambda: core.start_path("now", 1.0), lambda: core.start_path(0.0), lambda: core.bind(1),
     ):  # fmt: skip

@@ -1,12 +1,10 @@
-"""The loop of one controller: three calls of the core, over memory that Python and the core share.
+"""The loop of one controller: the core's step, over memory that Python and the core share.
 
-The core calls back for a path, a constraint, or a solver of the user's. It leaves a step open where rows of constraints
-may bind that Python has not given yet.
+The core calls back for a path, a constraint, or a solver of the user's, and with a step that numbers do not describe.
 """
 
 from __future__ import annotations
 
-import copy
 import functools
 import math
 from collections.abc import Callable
@@ -18,19 +16,19 @@ import pinocchio as pin
 from coopqp.checks import NOT_NUMBERS, as_floats
 from coopqp.constraints.cause import Cause
 from coopqp.constraints.rate import Knot
-from coopqp.constraints.velocity import ConstraintTrouble, Rows, no_rows
+from coopqp.constraints.velocity import ConstraintTrouble, Rows
 from coopqp.control.core.force_memory import minding_scalars
 from coopqp.control.core.memory import build_memory, check_kinematics, put_options
-from coopqp.control.interface import ControlStep, SolverReport, Status, amend
+from coopqp.control.interface import ControlStep, SolverReport, Status
 from coopqp.control.operator.way import Way
 from coopqp.control.options import QPOptions
 from coopqp.control.step.constraint_set import Constraints
-from coopqp.control.step.contact import Contact, filter_time, handed
-from coopqp.control.step.decoding import STATUSES, RecordReader, unsolved
+from coopqp.control.step.contact import refused
+from coopqp.control.step.decoding import STATUSES, RecordReader
 from coopqp.control.step.other_solver import StepSolver
 from coopqp.control.step.velocity_bounds import VelocityBox
 from coopqp.core import _core
-from coopqp.core._core import MOST_MINDING, MOST_TIGHTENINGS, SAME_CLOCK, SEGMENT
+from coopqp.core._core import MOST_MINDING, SAME_CLOCK, SEGMENT
 from coopqp.errors import InvalidInputError
 from coopqp.model.cell import RobotCell
 from coopqp.model.chain import Chain
@@ -47,7 +45,6 @@ _NOT_FINITE, _PATH_FAILED, _LOOK_AHEAD_FAILED, _CONSTRAINT_FAILED = (
     _core.REASONS.index(name) for name in ("NOT_FINITE", "PATH_FAILED", "LOOK_AHEAD_FAILED", "CONSTRAINT_FAILED")
 )
 _NO_SHIFTS = np.zeros(0)
-_ASK = _core.OUTCOMES.index("ASK")
 
 
 @final
@@ -101,42 +98,55 @@ class CoreLoop:
         check_kinematics(chain, self._core.linearise)
         target = options.posture.target
         self._target = None if target is None else cell.check_configuration(target, "PostureOptions: target")
-        self._no_rows = no_rows(cell.nv)
-        self._nan = np.full(cell.nq, math.nan)
-        self._further = self._no_rows
-        #: Bodies stand in the core's memory, which asks for their rows and for what stops the object itself.
-        self._knows_bodies = False
+        #: Faults of this step in words, by the code of the reason; for faults that numbers do not describe.
+        self._said: dict[int, str] = {}
+        self._held_by = Cause.INPUT
+        self._core.bind(as_measured=self._as_measured, attach=self._attaches, say=self._say, said=self._said)
         self._evades: Callable[[], bool] | None = self._evade if constraints.evades else None
         if constraints:
             self._core.bind(bound_knot=self._bound_knot)
+        if constraints.velocity:
+            self._core.bind(ask_for_rows=self._put_rows, tighten=self._tighten if constraints.evades else None)
         if self._certified is not None and not cell.groups:  # distances in the core's memory know each arm by itself
             self._proposal.dt = dt  # of the first step, for what it prepares
             rows = self._certified.in_memory(self._memory.of_rows())
             ahead = None if rows is None else self._certified.in_memory(self._memory.of_rows(), ahead=True)
             if rows is not None and ahead is not None:
-                self._knows_bodies, self._evades = True, ahead.evade
+                self._evades = ahead.evade
                 self._core.bind(clear=rows.clear, further_rows=rows.rows, tightened=rows.tightened)
                 self._core.bind(survey_here=rows.surveys, survey_ahead=ahead.surveys, stopping=ahead.stopping)
-        self.step = self._core.step
+        self.step, self.try_step, self.may_rest = self._core.step, self._core.try_step, self._core.may_rest
         self.hold, self.release = self._core.hold, self._core.release
         self.steps_here, self.steps_elsewhere = self._core.steps_here, self._core.steps_elsewhere
-        #: Faults of this step in words, by the code of the reason; for faults that numbers do not describe.
-        self._said: dict[int, str] = {}
-        self._held_by = Cause.INPUT
+
+    def call(self, *, poll: Callable[[Any], None], look: Callable[[ControlStep, bool], None]) -> None:
+        """Let the core call what is due at a step: each one while :attr:`polled`, else in :attr:`steps_until_poll`.
+
+        Args:
+            poll: before a step of a length that is asked for, while each is polled.
+            look: with the step, and whether :attr:`steps_until_poll` are over.
+        """
+        self._core.bind(poll=poll, look=look)
 
     @property
-    def looks_in(self) -> int:
-        """Steps until ``look`` is due, see :meth:`take_look`."""
-        steps: int = self._core.looks_in
+    def steps_until_poll(self) -> int:
+        """Steps until ``look`` is due, see :meth:`call`."""
+        steps: int = self._core.steps_until_poll
         return steps
 
-    @looks_in.setter
-    def looks_in(self, steps: int) -> None:
-        self._core.looks_in = steps
+    @steps_until_poll.setter
+    def steps_until_poll(self, steps: int) -> None:
+        self._core.steps_until_poll = steps
 
-    def take_look(self, look: Callable[[ControlStep], None]) -> None:
-        """Let the core's own step count, and call ``look`` with a step where it is due."""
-        self._core.bind(look=look)
+    @property
+    def polled(self) -> bool:
+        """Whether ``poll`` and ``look`` are called in each step."""
+        polled: bool = self._core.polled
+        return polled
+
+    @polled.setter
+    def polled(self, polled: bool) -> None:
+        self._core.polled = polled
 
     # -- starting --------------------------------------------------------------------------------------------------
 
@@ -185,7 +195,6 @@ class CoreLoop:
             self._minding.look_at = -math.inf
         had = self._motion is not None
         self._motion = motion
-        self.contact = None if motion is None else Contact(cell, self.grasp, motion)
         if motion is None:
             at["latched"][:] = 0.0
             if had:
@@ -248,47 +257,15 @@ class CoreLoop:
         """Override, and whether the object is paused."""
         return self._loop.overridden, bool(self._loop.pause)
 
-    def look_ahead_again(self, rate: float | None = None) -> None:
-        """The path ahead has changed; the object moves along it at a rate."""
-        loop = self._loop
-        kept = copy.copy(loop)
-        if rate is not None:
-            kept.rate, kept.rate_slope = rate, 0.0
-        self.take_path()
-        self._core.start_path(kept.clock, kept.rate)
-        kept.quiet_ahead = loop.quiet_ahead
-        self._loop.assign(kept)
-
-    def retarget_motion(self, path: ServoPath, goal: pin.SE3, rate: float) -> bool | None:
-        """Take the way to a new target as :class:`coopqp.QPController` does; None where an attempt has to say."""
-        if self._guarded.elbows is not None:  # which the core's own numbers lack
-            return None
-        rows = self._rows_here()
-        if rows is None:
-            return None
-        numbers = np.empty(4 + SEGMENT)
-        taken: int = self._core.go_over(_numbers_of(goal), numbers, path.speed, path.spin, rate, rows)
-        if taken > 0:
-            path.take(goal, numbers[4:])
-        return None if taken < 0 else taken > 0
-
-    def _rows_here(self) -> int | None:
-        """Put the rows of the constraints for a step from here into the core's memory; None if one fails.
-
-        -1 where the core asks for them itself.
-        """
-        if not self.constraints.velocity or self._loop.rate == 0.0:
-            return 0
-        if self._knows_bodies:
-            return -1
-        kept = copy.copy(self._loop)
-        self._core.observe(None, None)
-        rows = self._put_rows()
-        failed = bool(self._said)
-        self._said.clear()
-        kept.quiet_slack, kept.quiet_approach = self._loop.quiet_slack, self._loop.quiet_approach
-        self._loop.assign(kept)
-        return None if failed else rows
+    def retarget(self, path: ServoPath, goal: pin.SE3, rate: float) -> bool:
+        """Go over to a way to a target at a rate, if the first step along it keeps that rate and no joint jumps."""
+        numbers, elbows = np.empty(4 + SEGMENT), self._guarded.elbows
+        if elbows is not None:
+            numbers = np.concatenate([numbers, elbows.packed()])
+        taken = self._core.go_over(_numbers_of(goal), numbers, path.speed, path.spin, rate) > 0
+        if taken:
+            path.take(goal, numbers[4 : 4 + SEGMENT])
+        return taken
 
     def keep_travels(self, stride: int, *, anew: bool) -> None:
         """Keep the end of every so many steps from now on for :meth:`travels`, 0: of none; ``anew``: forget others."""
@@ -304,16 +281,6 @@ class CoreLoop:
         kept.count = 0.0
         rows = self.at["travelled"][: count * width].copy().reshape(count, width)
         return [(row.item(0), row.item(1), row[2 : 2 + nv], row[2 + nv :]) for row in rows]
-
-    def try_step(self) -> tuple[float, Array]:
-        """σ that a step from here keeps, and the change of velocity (nv,); nothing is committed."""
-        self._core.observe(None, None)
-        self._core.propose(self._put_rows(), False)
-        self._keep_rows()
-        self._said.clear()
-        p = self._proposal
-        rate = 0.0 if p.braked else min(p.cap, p.new_rate)
-        return rate, self.at["command"] - self.at["velocity"]
 
     def memory(self) -> Any:
         """All that a copy of this loop needs beside its arguments and its path."""
@@ -425,101 +392,53 @@ class CoreLoop:
         at["evading_slope"][:] = slope
         return True
 
-    # -- the step, where Python takes part ---------------------------------------------------------------------------
+    # -- what numbers do not describe ------------------------------------------------------------------------------
 
-    def careful_step(self, q_measured: Any, dt: Any) -> ControlStep:
-        """A step whose input may be anything, whose path may fail, or that has further rows."""
-        self._said.clear()
-        measured = None if q_measured is None else self._as_measured(q_measured)
-        before = (bool(self._loop.drifted), self.at["shares"].copy()) if self.contact_due else None
-        self._core.observe(measured, dt)
-        if before is not None:
-            self._take_contact(*before)
-        self._further = self._no_rows
-        outcome = self._core.settle() if self._knows_bodies else self._core.propose(self._put_rows(), False)
-        return self.finish(outcome)
-
-    @property
-    def contact_due(self) -> bool:
-        """Whether a change of contact is not taken yet."""
-        return self.contact is not None and self.contact.due(self.clock, self.at["changed_at"].item())
-
-    def _take_contact(self, drifted: bool, shares: Array) -> None:
-        """Take changes of contact that are due, or hold where an arm that attaches is not where it grasps."""
-        at, p, contact = self.at, self._proposal, self.contact
-        assert contact is not None
-        measured = bool(p.has_measured) and self._loop.drifted != 0.0
-        if measured and drifted:  # as it went on under the shares of the step before
-            kept = handed(*(x.reshape(-1, 6) for x in (at["shares"], shares, at["measured_away"])))
-            change = p.dt / (p.dt + filter_time(self.options.measurement_time, at["holding"])) * kept
-            at["latched"][:] += kept
-            at["drift"][:] += change
-            at["measured"][:] += (0.0 if p.hold else p.watch_cap) * change
-        carried = at["measured_carried" if measured else "carried"].reshape(-1, 12)
-        reason = contact.refused(self.clock, at["changed_at"].item(), [_pose_of(numbers) for numbers in carried])
-        if not reason:
-            at["changed_at"][0] = self.clock + SAME_CLOCK
-        elif p.watch_cap > 0.0:
-            self._said[_CONSTRAINT_FAILED], self._held_by = reason, Cause.TRACKING
-            p.watch_cap, p.hold = 0.0, 1.0
-            p.reason, p.reason_arm = _CONSTRAINT_FAILED, -1.0
-            at["measured"][:] = 0.0
-
-    def finish(self, outcome: int | None = None) -> ControlStep:
-        """Answer an open step, and commit it with what a solver of the user's has said."""
+    def _say(self, step: ControlStep) -> None:
+        """Put words into a step: why it holds, and what a solver of the user's has said."""
         p = self._proposal
-        outcome = int(p.outcome) if outcome is None else outcome
-        if outcome == _ASK:
-            rows, held = self._put_rows(), _CONSTRAINT_FAILED in self._said
-            outcome = self._core.propose(rows, not held)
-        reason = self._said.get(int(p.reason), "")
-        self._said.clear()
-        self._keep_rows()
-        report, braked = self._report if p.solved else None, p.braked and not p.reason
-        step: ControlStep = self._core.commit()
-        if report is not None and braked:
-            reason = unsolved(report)
-        if report is not None or reason:
-            if reason and step.status is Status.OFF_PATH:  # how far it is off comes first
-                reason = f"{step.reason.partition('; ')[0]}; {reason}"
-            amend(step, **({} if report is None else {"solver": report}), **({"reason": reason} if reason else {}))
-        if p.reason == _CONSTRAINT_FAILED:
-            amend(step, cause=self._held_by)
-        return step
+        report = self._report if p.solved else None
+        self._reader.put_words(step, int(p.reason), self._said, report=report, held_by=self._held_by)
 
-    def _keep_rows(self) -> None:
-        """Answer again with tighter rows where the command breaks their constraints."""
-        for _ in range(MOST_TIGHTENINGS if len(self._further) else 0):
-            h, v = self._proposal.dt, self.at["command"]
-            rows = self.constraints.tightened(self._further, self.cell.moved(self.q, h * v), v, h)
-            if rows is None:
-                break
-            self._further = rows
-            self.at["further_lower"][: len(rows)] = rows.lower
-            self._core.propose(len(rows), True)
+    def _hold(self, why: str, cause: Cause) -> None:
+        """The step holds, unless something else holds it."""
+        p = self._proposal
+        if p.watch_cap > 0.0:
+            self._said[_CONSTRAINT_FAILED], self._held_by = why, cause
+            p.watch_cap, p.hold = 0.0, True
+            p.reason, p.reason_arm = _CONSTRAINT_FAILED, -1
+
+    def _attaches(self) -> bool:
+        """Whether all arms that attach are where they grasp; else the step holds."""
+        assert self._motion is not None
+        carried = [_pose_of(numbers) for numbers in self.at["measured_carried"].reshape(-1, 12)]
+        taken = self.at["changed_at"].item()
+        reason = refused(self.cell, self.grasp, self._motion, carried, clock=self.clock, taken=taken)
+        if reason:
+            self._hold(reason, Cause.TRACKING)
+        return not reason
 
     def _as_measured(self, q: Any) -> Array:
-        if type(q) is np.ndarray and q.dtype == np.float64 and q.shape == (self.cell.nq,) and q.flags.c_contiguous:
-            return q
-        measured, trouble = _as_configuration(self.cell, q)
-        if measured is None:
-            self._said[_NOT_FINITE] = trouble
-            return self._nan
-        return measured
+        """Another object than the core reads as a measured configuration (nq,); NaN if it is none."""
+        nq = self.cell.nq
+        try:
+            measured = q if type(q) is np.ndarray and q.dtype == np.float64 else as_floats(q)
+        except NOT_NUMBERS:
+            fault = f"q_measured is {type(q).__name__}, not {nq} numbers"
+        else:
+            if measured.shape == (nq,):
+                return np.ascontiguousarray(measured)
+            fault = f"q_measured must have shape ({nq},), got {measured.shape}"
+        self._said[_NOT_FINITE] = fault
+        return np.full(nq, np.nan)
 
     def _put_rows(self) -> int:
         """Ask the constraints and put their rows into the core's memory. If one fails the step holds."""
-        self._further = self._no_rows
-        if not self.constraints.velocity:
-            return 0
-        at, p = self.at, self._proposal
+        at = self.at
         try:
-            rows = self.constraints.rows(self.q, p.dt, blind=not self._looks_ahead)
+            rows = self.constraints.rows(self.q, self._proposal.dt, blind=not self._looks_ahead)
         except ConstraintTrouble as trouble:
-            if p.watch_cap > 0.0:
-                self._said[_CONSTRAINT_FAILED], self._held_by = str(trouble), trouble.cause
-                p.watch_cap, p.hold = 0.0, 1.0
-                p.reason, p.reason_arm = _CONSTRAINT_FAILED, -1.0
+            self._hold(str(trouble), trouble.cause)
             if trouble.rows is None:
                 return 0
             rows = trouble.rows
@@ -527,23 +446,28 @@ class CoreLoop:
         at["further"][: m * self.cell.nv] = rows.G.ravel()
         at["further_lower"][:m], at["further_upper"][:m], at["further_soft"][:m] = rows.lower, rows.upper, rows.soft
         at["further_owner"][:m] = rows.owner
-        self._further = rows
         if self._certified is not None:
             at["quiet_centre"][:], at["quiet_reach"][:], *slack = self._certified.quiet
             self._loop.quiet_slack, self._loop.quiet_approach = slack
         return m
 
-    def _all_rows(self) -> Rows:
-        """The rows of the constraints, and those that brake all arms together."""
+    def _rows(self) -> Rows:
+        """The rows of the constraints that stand in the core's memory, and those that brake all arms together."""
         at, m, nv = self.at, int(self._proposal.rows), self.cell.nv
-        if m == len(self._further):
-            return self._further
         lower, upper, soft, owner = (at[f"further_{name}"][:m].copy() for name in ("lower", "upper", "soft", "owner"))
         return Rows(at["further"][: m * nv].reshape(m, nv).copy(), lower, upper, soft, owner.astype(int))
 
+    def _tighten(self) -> bool:
+        """Raise lower bounds where the command keeps the rows and breaks their constraints; whether it does."""
+        h, v, rows = self._proposal.dt, self.at["command"], self._rows()
+        tighter = self.constraints.tightened(rows, self.cell.moved(self.q, h * v), v, h)
+        if tighter is not None:
+            self.at["further_lower"][: len(rows)] = tighter.lower
+        return tighter is not None
+
     def _solve(self, relax: int, width: int) -> bool:
         """The condensed QP that the core has filled in, by a solver of the user's choice; False without an answer."""
-        at, nv, further = self.at, self.cell.nv, self._all_rows()
+        at, nv, further = self.at, self.cell.nv, self._rows()
         rows, unknowns = nv + len(further), self.solver.program.units.size
         box = self._box  # as the core has found it
         box.lower[:], box.upper[:], box.recovery[:] = at["lower"], at["upper"], at["recovery"]
@@ -570,14 +494,3 @@ def _numbers_of(pose: pin.SE3) -> Array:
 def _pose_of(numbers: Array) -> pin.SE3:
     """The reverse."""
     return pin.SE3(numbers[:9].reshape(3, 3), numbers[9:])
-
-
-def _as_configuration(cell: RobotCell, q: Any) -> tuple[Array | None, str]:
-    """A measured configuration as an array (nq,), or None and the fault of its type or shape."""
-    try:
-        measured = q if type(q) is np.ndarray and q.dtype == np.float64 else as_floats(q)
-    except NOT_NUMBERS:
-        return None, f"q_measured is {type(q).__name__}, not {cell.nq} numbers"
-    if measured.shape != (cell.nq,):
-        return None, f"q_measured must have shape ({cell.nq},), got {measured.shape}"
-    return np.ascontiguousarray(measured), ""

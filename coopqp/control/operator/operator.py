@@ -12,13 +12,11 @@ import pinocchio as pin
 
 from coopqp.constraints.cause import Cause
 from coopqp.control.interface import ControlStep, Status, amend
-from coopqp.control.lookahead.ramp_time import RampTime
 from coopqp.control.operator.changes import Change, Follow, Target, Travel
 from coopqp.control.operator.hands import Clutch, Gear
 from coopqp.control.operator.trail import Trail
 from coopqp.control.operator.way import Way
 from coopqp.control.options import QPOptions
-from coopqp.control.retargeting import object_rests, retarget_motion
 from coopqp.core._core import MOST_TRAVELS, RATE_ROUNDING, RATE_TOLERANCE, SAME_CLOCK, STILL_OBJECT
 from coopqp.errors import said
 from coopqp.model.cell import RobotCell
@@ -48,7 +46,7 @@ _MOST_BETWEEN = 1000
 #: Attributes that calls and steps change, beside the trail.
 _VARYING = (
     "way", "wanted", "then", "_override", "paused", "age", "holds_for", "returns", "gear", "clutch", "_left", "_brakes",
-    "looks_in", "opened", "jogged", "_late", "_run_time", "_goes_on", "_tries_in", "_gap",
+    "opened", "jogged", "_late", "_run_time", "_goes_on", "_tries_in", "_gap",
     "looked",
 )  # fmt: skip
 _STOPPED = (Status.HOLDING, Status.FAULT)
@@ -84,7 +82,6 @@ class Operator:
         self, cell: RobotCell, grasp: Grasp, loop: Any, program: ObjectPath, *, dt: float, options: QPOptions
     ) -> None:
         self._cell, self.grasp, self._loop, self._dt = cell, grasp, loop, dt
-        self._ramp_time = RampTime(cell, grasp, options.preview, dt=dt)
         self._accelerates = bool(np.isfinite(cell.limits.acceleration).any())
         self.opened: frozenset[str] = frozenset()
         #: Time since the start of the run, while signals are to come by themselves [s].
@@ -105,7 +102,7 @@ class Operator:
         self._late = False
         #: Steps until the next attempt to make a change that waits, and from one to the next.
         self._tries_in = self._gap = 1
-        self.looks_in, self.looked = 1, False
+        self.looked = False
         self._longest_dt = dt * options.supervision.dt_range[1]
         redundant = Chain(cell, grasp).redundancy > 0
         self.trail: Trail | None = Trail(cell, dt=dt) if redundant else None
@@ -131,10 +128,14 @@ class Operator:
     @property
     def rests(self) -> bool:
         """Whether the object rests, and its joints may."""
-        loop = self._loop
-        motion = GuardedPath(self.way.path).motion(loop.clock) if loop.rate > 0.0 else None
-        moves = motion is not None and np.abs(loop.rate * motion).max() > STILL_OBJECT
-        return not moves and self._ramp_time.admits(loop.velocity)
+        return not self._moves and bool(self._loop.may_rest())
+
+    @property
+    def _moves(self) -> bool:
+        """Whether the object moves, or a tool on it."""
+        rate = self._loop.rate
+        motion = GuardedPath(self.way.path).motion(self.loop_clock) if rate > 0.0 else None
+        return motion is not None and bool(np.abs(rate * motion).max() > STILL_OBJECT)
 
     @property
     def expired(self) -> bool:
@@ -143,10 +144,15 @@ class Operator:
 
     @property
     def quiet(self) -> bool:
-        """Whether steps need nothing from here, or only :meth:`passed`."""
+        """Whether steps need nothing from here, or only :meth:`look`."""
         calm = self.wanted is None and self.way.sense != 0 and self.gear is None
-        calm = calm and not self._goes_on and not self._signals_to_come and self.waits_for is None
-        return calm and not self._loop.contact_due
+        return calm and not self._goes_on and not self._signals_to_come and not self._ended
+
+    @property
+    def _ended(self) -> bool:
+        """Whether the end of a section is reached."""
+        way = self.way
+        return not way.whole and self.loop_clock >= way.path.duration
 
     # -- gates -----------------------------------------------------------------------------------------------------
 
@@ -205,21 +211,6 @@ class Operator:
                 self._goes_on = not self.take(ahead, clock)
 
     @property
-    def looks_in(self) -> int:
-        """Steps until the next look is due: the loop's own step counts them."""
-        return self._loop.looks_in
-
-    @looks_in.setter
-    def looks_in(self, steps: int) -> None:
-        self._loop.looks_in = steps
-
-    @property
-    def _contact_ahead(self) -> float:
-        """Time to the next change of contact on the way [s]."""
-        contact = self._loop.contact
-        return math.inf if contact is None else float(contact.ahead(self.loop_clock))
-
-    @property
     def override(self) -> float:
         """The largest rate σ that is asked for; forces may lower it in the loop."""
         return self._override if self._brakes else float(self._loop.reins[0])
@@ -243,7 +234,7 @@ class Operator:
         self.gear = self.clutch = None
         self._late, self.jogged = False, None
         self.age = math.inf
-        self.looks_in = 1
+        self._loop.steps_until_poll = 1
         self._let_go()
         return begin
 
@@ -315,7 +306,7 @@ class Operator:
             self.rein()
         elif self._late and not braked:
             return  # the next step tries another rate, from here
-        elif self._accelerates or not isinstance(wanted, Target) or object_rests(self._loop, self.way.path):
+        elif self._accelerates or not isinstance(wanted, Target) or not self._moves:
             self._override, self._brakes = self.override, True
             self.rein()
 
@@ -387,8 +378,7 @@ class Operator:
         loop, full = self._loop, 0.0 if self._loop.reins[1] else self.override
         now, late = loop.rate, self._late
         rate = min(now, full) if late else full
-        taken = loop.retarget_motion(path, goal, rate)
-        taken = retarget_motion(loop, path, self._ramp_time, goal, rate) if taken is None else bool(taken)
+        taken = bool(loop.retarget(path, goal, rate))
         self._late = not taken and not late and 0.0 < now < full
         if taken:
             self.jogged = None
@@ -420,8 +410,8 @@ class Operator:
                 loop.restore(memory)
                 self._follow(way, clock, rate)
                 fresh = loop.memory()
-                kept, change = loop.try_step()
-                taken = kept >= kept_so_far - RATE_TOLERANCE and self._ramp_time.admits(change)
+                kept, smooth = loop.try_step()
+                taken = kept >= kept_so_far - RATE_TOLERANCE and smooth
                 if taken:
                     loop.restore(fresh)
         finally:
@@ -429,7 +419,7 @@ class Operator:
                 loop.follow(old.path, old)
                 loop.restore(memory)
                 self.way = old
-                self.looks_in = 1
+                self._loop.steps_until_poll = 1
         return taken
 
     def _first_rate(self, way: Way, clock: float) -> float:
@@ -443,7 +433,7 @@ class Operator:
         if way.sense > 0 and self.way.sense < 0 and self.trail is not None:
             self.trail.cut(self.clock, self._loop.positions)
         self.way = way
-        self.looks_in = 1
+        self._loop.steps_until_poll = 1
         self._keep_travels()
         self.jogged = None
         self._loop.follow(way.path, way)
@@ -483,7 +473,7 @@ class Operator:
         self.looked = False
 
     def _before(self, dt: float) -> None:
-        way, loop = self.way, self._loop
+        way = self.way
         if self.gear is not None:
             self.gear = self.gear.later(dt)
         if way.sense == 0 or (self.wanted is not None and self.wanted.by_hand):
@@ -496,7 +486,7 @@ class Operator:
         self._tell_signals(dt)
         way = self.way
         waits = self.waits_for is not None or self._goes_on
-        if way.sense != 0 and not way.whole and loop.clock >= way.path.duration and self.wanted is None and not waits:
+        if self._ended and self.wanted is None and not waits:
             self.rest_at(self.clock)
         if self.wanted is not None and self._tries_now():
             self.attempt()
@@ -524,7 +514,7 @@ class Operator:
         way, clock = left
         then, self.then = self.then, None
         self.way = way
-        self.looks_in = 1
+        self._loop.steps_until_poll = 1
         self._keep_travels()
         self.rein()
         self._loop.follow(way.path, way)
@@ -533,33 +523,24 @@ class Operator:
             self.ask(then)
         return True
 
-    def passed(self, step: ControlStep) -> bool:
-        """Count a step, and have a look where one is due; whether the end of a section is reached."""
-        if self.looks_in > 1:
-            self.looks_in -= 1
-            return False
-        return self.look(step)
-
-    def look(self, step: ControlStep) -> bool:
-        """Note the trail; whether the end of a section is reached. The next look is due before it can be."""
+    def look(self, step: ControlStep) -> None:
+        """Note the trail, and say where the end of a section is reached. The next look is due before it can be."""
         way, loop, trail = self.way, self._loop, self.trail
         self._note_travels()
         left = math.inf if way.whole or way.sense == 0 else way.path.duration - loop.clock
         most = _MOST_BETWEEN if trail is None else min(_MOST_BETWEEN, MOST_TRAVELS * trail.stride)
-        soon = min(left, self._contact_ahead, 1e6)
-        self.looks_in = max(1, min(most, int(soon / self._longest_dt)))
+        loop.steps_until_poll = max(1, min(most, int(min(left, 1e6) / self._longest_dt)))
         if left > 0.0:
-            return bool(loop.contact_due)
+            return
         if self.waits_for is not None:
             self._say_waiting(step)
-            return True
+            return
         rate = min(step.rate, self._rate_of(step))  # the loop takes the last step of a path for one at the full rate
         if step.status is Status.TRACKING and rate < 1.0 - RATE_ROUNDING:
             reason = "; ".join(filter(None, (step.reason, "the object comes to rest where it was told to")))
             amend(step, status=Status.SLOWED, rate=rate, cause=Cause.OPERATOR, reason=reason)
         elif rate < step.rate:
             amend(step, rate=rate)
-        return True
 
     def _rate_of(self, step: ControlStep) -> float:
         """σ of a step that may end at the end of a section, which cuts it short."""

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any, final
 
 import numpy as np
 
 from coopqp.constraints.cause import Cause, cause_of_limits
-from coopqp.control.interface import NO_SOLVE, NOTHING, GivenUp, SolverReport, Status, off_path
+from coopqp.control.interface import NO_SOLVE, NOTHING, ControlStep, GivenUp, SolverReport, Status, amend, off_path
 from coopqp.control.monitoring.options import SupervisionOptions
 from coopqp.control.operator.way import Way
 from coopqp.control.step.constraint_set import Constraints
@@ -132,6 +133,29 @@ class RecordReader:
 
     def _read_clearance(self, s: Any, r: Array) -> NearPair | None:
         return self._constraints.nearest(self._q_of(r))
+
+    @staticmethod
+    def put_words(
+        step: ControlStep, code: int, said: Mapping[int, str], *, report: SolverReport | None, held_by: Cause
+    ) -> None:
+        """Put into a step what numbers do not describe.
+
+        Args:
+            step: made with the reason of this code.
+            said: reasons in words, by their codes.
+            report: what a solver of the user's says of it; None if none was asked.
+            held_by: the cause of a hold by a constraint.
+        """
+        values: dict[str, Any] = {} if report is None else {"solver": report}
+        braked = report is not None and code == _REASONS["UNSOLVED"]
+        fault = unsolved(report) if braked else said.get(code, "")
+        if fault and step.status is Status.OFF_PATH:  # how far it is off comes first
+            fault = f"{step.reason.partition('; ')[0]}; {fault}"
+        if fault:
+            values["reason"] = fault
+        if code == _REASONS["CONSTRAINT_FAILED"]:
+            values["cause"] = held_by
+        amend(step, **values)
 
     def limit(self, kind: int, arm: int, joint: int, constraint: int) -> BindingLimit:
         """A limit by name."""

@@ -12,14 +12,21 @@
 
 /* Objects of Python that a Core holds: callables, empty for none, and what a step is made of. */
 enum Held {
-    OWN_PATH, BOUND_KNOT, STOPPING, EVADE, SOLVE, SURVEY_AHEAD, CLEAR, FURTHER_ROWS, TIGHTENED, SURVEY_HERE, /* put numbers into the memory */
-    TELL,                                                                    /* of a step that forces say something of */
-    LOOK,                                                                    /* at a step, where that is due */
+    OWN_PATH, BOUND_KNOT, STOPPING, EVADE, SOLVE, SURVEY_AHEAD, /* put numbers into the memory */
+    CLEAR, FURTHER_ROWS, TIGHTENED, SURVEY_HERE, ATTACH,        /* in the order of the questions */
+    ASK_FOR_ROWS, TIGHTEN,                                      /* of constraints that are not in the memory, or failed there */
+    AS_MEASURED,                                                /* makes an array of any other object */
+    POLL, LOOK,                                                 /* what is due before a step (dt), and at one that is made */
+    SAY,                                                        /* puts words into a step that numbers do not describe: those in */
+    SAID,
+    TELL,                                                       /* of a step that forces say something of */
     STEP_TYPE, CONTEXT, STATUS_NAMES,
     OBJECTS
 };
-static const char *const HELD[OBJECTS] = {"own_path", "bound_knot", "stopping", "evade", "solve", "survey_ahead", "clear",
-                                          "further_rows", "tightened", "survey_here", "tell", "look", "step_type", "context", "status_names"};
+static const char *const HELD[OBJECTS] = {
+    "own_path", "bound_knot", "stopping", "evade", "solve", "survey_ahead", "clear", "further_rows", "tightened", "survey_here",
+    "attach", "ask_for_rows", "tighten", "as_measured", "poll", "look", "say", "said", "tell", "step_type", "context",
+    "status_names"};
 
 struct Field {
     const char *name;
@@ -43,8 +50,9 @@ struct BoundCore : Core {
     unsigned long busy = 0;      /* the thread that works here; 0 for none */
     unsigned long stepper = 0;   /* the thread that made the last step; 0 for none */
     int entered = 0;             /* how often it has entered and not left */
-    bool handed = false;         /* a step is left open: the next entry is the same one's */
-    long looks_in = 1;           /* steps until a look is due */
+    long steps_until_poll = 1;   /* steps until a look is due */
+    bool polled = false;         /* each step is: before it and at it */
+    bool by_python = false;      /* the rows of this step are not those of the memory */
     std::optional<nb::python_error> interrupt; /* until the call ends */
 
     /* The gaps after fields are closed to everybody, or open. */
@@ -238,22 +246,24 @@ static int clear(PyObject *object) {
 
 /* -- calls into Python ----------------------------------------------------------------------------------------------- */
 
-/* Call a function of Python for a number, or for yes or no; −1 where it fails, after an interrupt, or without a function.
- * After an interrupt nothing more is asked, and the call that the core is in raises it. What else is raised is dropped
- * where a number is asked for, as Python asks again; else it is printed. */
+/* What becomes of an exception in a function of Python. */
+enum Failing { DROPPED, PRINTED, RAISED };
+
+/* Call a function of Python for a number, or for yes or no where its exceptions are printed; −1 where it fails, after an interrupt,
+ * or without a function. After an interrupt nothing more is asked, and the call that the core is in raises it. */
 template <typename... Args>
-static long asked(BoundCore *self, int which, bool yes_or_no, Args... args) {
+static long asked(BoundCore *self, int which, Failing failing, Args... args) {
     const nb::object &function = self->objects[which];
     if (self->interrupt || !function.is_valid()) return -1;
     try {
         const nb::object answer = function(args...);
-        const long found = yes_or_no ? PyObject_IsTrue(answer.ptr()) : PyLong_AsLong(answer.ptr());
+        const long found = failing == PRINTED ? PyObject_IsTrue(answer.ptr()) : PyLong_AsLong(answer.ptr());
         if (found == -1 && PyErr_Occurred()) throw nb::python_error();
         return found;
     } catch (nb::python_error &error) {
-        if (!error.matches(PyExc_Exception))
+        if (failing == RAISED || !error.matches(PyExc_Exception))
             self->interrupt.emplace(error);
-        else if (yes_or_no)
+        else if (failing == PRINTED)
             error.discard_as_unraisable(function);
     }
     return -1;
@@ -263,7 +273,7 @@ static long asked(BoundCore *self, int which, bool yes_or_no, Args... args) {
 template <typename... Args>
 static int filled_in(Core *c, int which, Args... args) {
     bound(c)->guard(false);
-    const int good = asked(bound(c), which, true, args...) > 0;
+    const int good = asked(bound(c), which, PRINTED, args...) > 0;
     bound(c)->guard(true);
     return good;
 }
@@ -273,7 +283,7 @@ static int bound_knot(Core *c, int slot) {
     c->knot_asked = 1;
     if (!bound(c)->objects[STOPPING]) return filled_in(c, BOUND_KNOT, slot);
     bound(c)->guard(false);
-    const long label = asked(bound(c), STOPPING, false, slot, c->knots[slot].span);
+    const long label = asked(bound(c), STOPPING, DROPPED, slot, c->knots[slot].span);
     bound(c)->guard(true);
     if (label == -1) return filled_in(c, BOUND_KNOT, slot);
     if (label >= 0) c->knots[slot].limit.joint = (int)label;
@@ -288,18 +298,31 @@ static void raise_interrupt(BoundCore *self) {
     throw error;
 }
 
+/* How many rows there are: of bodies in the memory; else, and where those fail, of the constraints themselves. */
+static long rows_of(BoundCore *self, bool blind) {
+    long found = asked(self, FURTHER_ROWS, DROPPED, blind);
+    self->by_python = found < 0 || found > most_given(self);
+    if (self->by_python) found = asked(self, ASK_FOR_ROWS, RAISED);
+    return std::clamp<long>(found, 0, most_given(self));
+}
+
 static long ask_constraints(Core *c, Question question) {
+    BoundCore *self = bound(c);
     const bool blind = !sees(c);
     const int which = CLEAR + (question - ASK_CLEAR);
-    bound(c)->guard(false);
+    self->guard(false);
     long found = -1;
     switch (question) {
-    case ASK_CLEAR: found = asked(bound(c), which, false, blind, c->knot_asked != 0); break;
-    case ASK_ROWS: found = asked(bound(c), which, false, blind); break;
-    case ASK_TIGHTER: found = asked(bound(c), which, false); break;
-    case ASK_SURVEY: found = asked(bound(c), which, false, c->surveyed != 0); break;
+    case ASK_CLEAR: found = asked(self, which, DROPPED, blind, c->knot_asked != 0); break;
+    case ASK_ROWS: found = rows_of(self, blind); break;
+    case ASK_TIGHTER:
+        if (!self->by_python) found = asked(self, which, DROPPED);
+        if (found < 0) found = asked(self, TIGHTEN, RAISED);
+        break;
+    case ASK_SURVEY: found = asked(self, which, DROPPED, c->surveyed != 0); break;
+    case ASK_CONTACT: found = asked(self, which, RAISED); break;
     }
-    bound(c)->guard(true);
+    self->guard(true);
     return found;
 }
 
@@ -320,6 +343,7 @@ static void bind(BoundCore &self, const nb::kwargs &given) {
     self.evade = where(EVADE, +[](Core *c) { return filled_in(c, EVADE); });
     self.solve = where(SOLVE, +[](Core *c, int relax) { return filled_in(c, SOLVE, relax, c->width); });
     self.bound_knot = where(BOUND_KNOT, bound_knot);
+    self.asks_rows = self.objects[ASK_FOR_ROWS].is_valid();
     self.survey_ahead = where(SURVEY_AHEAD, +[](Core *c) {
         const int done = filled_in(c, SURVEY_AHEAD);
         return c->surveyed |= done, done;
@@ -380,13 +404,29 @@ static void set_grasps(BoundCore &self, InOrNone &numbers) {
 
 /* -- steps ----------------------------------------------------------------------------------------------------------- */
 
-/* One sample: q (or none) and dt, any object: without one it is the nominal one, and what is no number is a NaN, which is
- * refused with its reason. */
-static void observe(BoundCore &self, const InOrNone &q, const Maybe &dt) {
+/* Forget what was said of a step. */
+static void say_nothing(BoundCore &self) {
+    if (PyObject *said = self.objects[SAID].ptr(); said && PyDict_Size(said) > 0) PyDict_Clear(said);
+}
+
+/* The length of a step: what is no number is a NaN, which is refused with its reason. */
+static double length_of(const Maybe &dt) {
     double length = NAN;
-    check_fit(!q.data || q.is_row(self.nq), "expected an array of float64 of the right length");
-    if (dt && !nb::try_cast(*dt, length)) length = NAN;
-    self.run<&Arithmetic::observe>(q.data, dt ? &length : nullptr);
+    return dt && nb::try_cast(*dt, length) ? length : NAN;
+}
+
+/* One sample: q (or none) and dt, any objects. Without dt the step has its nominal length. */
+static void observe(BoundCore &self, const Maybe &q, const Maybe &dt) {
+    InOrNone numbers, found;
+    if (q && !(numbers.take(q->ptr()) && numbers.is_row(self.nq))) {
+        const nb::object &as_measured = self.objects[AS_MEASURED];
+        if (!as_measured) throw nb::type_error("expected an array of float64 of the right length");
+        const nb::object made = as_measured(*q);
+        check_fit(found.take(made.ptr()) && found.is_row(self.nq), "expected an array of float64 of the right length");
+        std::swap(numbers, found);
+    }
+    const double length = length_of(dt);
+    self.run<&Arithmetic::observe>(numbers.data, dt ? &length : nullptr);
     raise_interrupt(&self);
 }
 
@@ -429,8 +469,7 @@ static void enter(BoundCore &self) {
         throw nb::python_error();
     }
     self.busy = me;
-    self.entered += !self.handed;
-    self.handed = false;
+    self.entered++;
 }
 
 static void leave(BoundCore &self) {
@@ -438,66 +477,61 @@ static void leave(BoundCore &self) {
     if (!self.entered) self.busy = 0;
 }
 
-/* The thread that steps works here as long as this lives, and on where a step is left open. */
+/* The thread that steps works here as long as this lives. */
 struct Stepping {
     BoundCore &core;
-    explicit Stepping(BoundCore &self) : core(self) { enter(self), self.stepper = self.busy; }
-    ~Stepping() {
-        if (!core.handed) leave(core);
-    }
+    explicit Stepping(BoundCore &self) : core(self) { enter(self); }
+    ~Stepping() { leave(core); }
 };
 
-/* The step for the observed sample. None if the answer is left open: then a call that finishes it has to follow. */
-static nb::object command(BoundCore &self) {
-    const Outcome outcome = self.run<&Arithmetic::settle_step>();
+/* The outcome for the observed sample. */
+static Outcome propose(BoundCore &self) {
+    const Outcome outcome = self.run<&Arithmetic::propose>();
     raise_interrupt(&self);
-    if (outcome != ASK && self.proposal->solved == 0.0) return commit(self);
-    self.handed = true;
-    return nb::none();
+    return outcome;
 }
 
-/* Count a step, and let Python look at it where that is due; at one that is left open the next time. */
-static nb::object looked_at(BoundCore &self, nb::object made) {
-    if (self.looks_in > 1)
-        self.looks_in--;
-    else if (!self.handed && self.objects[LOOK])
-        self.objects[LOOK](made);
+/* A step: what is asked for before it, the sample, the command, and words that Python has for it. */
+static nb::object make_step(BoundCore &self, const Maybe &q, const Maybe &dt) {
+    const bool polled = self.polled;
+    if (polled) self.objects[POLL](dt);
+    self.stepper = self.busy;
+    say_nothing(self);
+    observe(self, q, dt);
+    propose(self);
+    nb::object made = commit(self);
+    PyObject *said = self.objects[SAID].ptr();
+    if (said && (self.proposal->solved || PyDict_Size(said) > 0)) self.objects[SAY](made);
+    const bool due = self.steps_until_poll <= 1;
+    if (!due) self.steps_until_poll--;
+    if ((polled || due) && self.objects[LOOK]) self.objects[LOOK](made, due);
     return made;
 }
 
-static nb::object step(BoundCore &self, const InOrNone &q, const Maybe &dt) {
+static nb::object step(BoundCore &self, const Maybe &q, const Maybe &dt) {
     Stepping here(self);
-    observe(self, q, dt);
-    return looked_at(self, command(self));
+    return make_step(self, q, dt);
 }
 
-static int propose(BoundCore &self, long rows, bool again) {
-    check_fit(rows >= 0 && rows <= most_given(&self), "there is no room for so many rows");
-    self.given_rows = (int)rows;
-    const Outcome outcome = again ? self.run<&Arithmetic::answer>() : self.run<&Arithmetic::propose>();
-    raise_interrupt(&self);
-    return outcome;
-}
-
-/* The outcome for the observed sample: rows of bodies in the memory are asked for where they may bind. */
-static int settle(BoundCore &self) {
-    const Outcome outcome = self.run<&Arithmetic::settle_step>();
-    raise_interrupt(&self);
-    return outcome;
-}
-
-/* Steps without Python in between, to time the core alone; stops where a step is open. Returns how many were done. */
+/* Steps without a ControlStep, to time the core alone. Returns how many were done. */
 static Py_ssize_t advance(BoundCore &self, Py_ssize_t steps, const InOrNone &q) {
     Py_ssize_t done = 0;
     check_fit(!q.data || q.is_row(self.nq));
-    for (; done < steps; done++) {
+    for (; done < steps && !self.interrupt; done++) {
         self.run<&Arithmetic::observe>(q.data, nullptr);
-        if (self.run<&Arithmetic::propose>() == ASK || self.interrupt) break;
-        if (self.options->certified != 0.0 && !self.run<&Arithmetic::quiet>()) break;
+        self.run<&Arithmetic::propose>();
         self.run<&Arithmetic::commit>();
     }
     raise_interrupt(&self);
     return done;
+}
+
+/* The rate that a step from here would keep, and whether no joint without acceleration limit jumps; nothing is committed. */
+static nb::tuple try_step(BoundCore &self) {
+    const double rate = self.run<&Arithmetic::try_step>();
+    say_nothing(self);
+    raise_interrupt(&self);
+    return nb::make_tuple(rate, !self.run<&Arithmetic::jumps>(static_cast<double *>(self.command)));
 }
 
 static void start(BoundCore &self, const In &positions) {
@@ -510,11 +544,12 @@ static void start_path(BoundCore &self, double clock, double rate) {
     raise_interrupt(&self);
 }
 
-/* go_over(goal, numbers, speed, spin, rate, rows): 1 if the way in `numbers` is taken from now on; see core.h. */
-static int go_over(BoundCore &self, const In &goal, Out &numbers, double speed, double spin, double rate, int rows) {
-    check_fit(goal.size == 12 && numbers.size == 4 + SEGMENT);
+/* go_over(goal, numbers, speed, spin, rate): 1 if the way in `numbers`, which the elbows' follow, is taken from now on; see core.h. */
+static int go_over(BoundCore &self, const In &goal, Out &numbers, double speed, double spin, double rate) {
+    check_fit(goal.size == 12 && numbers.size == 4 + SEGMENT + (Py_ssize_t)self.options->elbows * (1 + 2 * self.joints));
     const double *present = self.path_numbers;
-    const int found = self.run<&Arithmetic::go_over>(goal.data, speed, spin, rate, numbers.data, rows);
+    const int found = self.run<&Arithmetic::go_over>(goal.data, speed, spin, rate, numbers.data);
+    say_nothing(self);
     if (found > 0)
         self.way_array = std::move(numbers);
     else
@@ -563,24 +598,17 @@ static void bind_minding(BoundCore &self, nb::object memory) {
 /* step_minding(memory, q, dt, wrenches): a step of a controller that minds forces: the grasps move, the object is as fast
  * as forces let it be. False where Python has to take part first, as it does before the arms relax, and where compliances
  * have to be looked at, or arms let go or attach soon: nothing has changed then. */
-static nb::object step_minding(BoundCore &self, nb::handle memory, const InOrNone &q, const Maybe &dt,
-                               const InOrNone &wrenches) {
+static nb::object step_minding(BoundCore &self, nb::handle memory, const Maybe &q, const Maybe &dt, const InOrNone &wrenches) {
     Stepping here(self);
     const Minding *m = self.minding;
-    if (!memory.is(self.minding_given) || !gives_way(m) || m->age >= LOOK_EVERY || self.loop->clock >= m->look_at)
+    if (self.polled || !memory.is(self.minding_given) || !gives_way(m) || m->age >= LOOK_EVERY || self.loop->clock >= m->look_at)
         return nb::bool_(false);
     const double *felt = wrenches_of(wrenches, self.arms);
-    double length = NAN;
-    check_fit(!q.data || q.is_row(self.nq));
-    if (dt && !nb::try_cast(*dt, length)) length = NAN;
-    self.run<&Arithmetic::mind>(felt, length);
-    observe(self, q, dt);
-    nb::object made = command(self);
-    if (!self.handed) {
-        self.run<&Arithmetic::minded>();
-        if (m->why != NOTHING_MORE) self.objects[TELL](made);
-    }
-    return looked_at(self, std::move(made));
+    self.run<&Arithmetic::mind>(felt, length_of(dt));
+    nb::object made = make_step(self, q, dt);
+    self.run<&Arithmetic::minded>();
+    if (m->why != NOTHING_MORE) self.objects[TELL](made);
+    return made;
 }
 
 /* -- least-distance programs by themselves --------------------------------------------------------------------------- */
@@ -624,18 +652,20 @@ void bind_step(nb::module_ &m) {
             return part_of(self, self.knots + slot);
         })
         .def("bind", bind)
-        .def("step", step) /* observe, propose, commit; None if the answer is open */
-        .def_rw("looks_in", &BoundCore::looks_in)
+        .def("step", step) /* observe, propose, commit */
+        .def_rw("steps_until_poll", &BoundCore::steps_until_poll)
+        .def_rw("polled", &BoundCore::polled)
         .def("hold", enter)
         .def("release", leave)
         .def("steps_here", [](BoundCore &self) { self.stepper = PyThread_get_thread_ident(); })
         .def("steps_elsewhere",
              [](BoundCore &self) { return self.stepper && self.stepper != PyThread_get_thread_ident(); })
         .def("observe", observe)
-        .def("propose", propose)
-        .def("settle", settle)
+        .def("propose", [](BoundCore &self) { return (int)propose(self); })
         .def("commit", commit)
         .def("advance", advance)
+        .def("try_step", try_step)
+        .def("may_rest", [](BoundCore &self) { return !self.run<&Arithmetic::jumps>((double *)nullptr); })
         .def("start", start)
         .def("start_path", start_path)
         .def("set_path", set_path)
