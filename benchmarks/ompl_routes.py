@@ -22,9 +22,9 @@ from common import Record
 from route_cases import Problem
 
 from coopqp import WaypointPath, check_path, inverse_kinematics
+from coopqp.collision.edges import EdgeLimits, columns_of
 from coopqp.model.batch import REACHED, ArmKinematics
 from coopqp.planning import PathVerdict
-from coopqp.planning.route.edges import EdgeLimits, columns_of
 from coopqp.planning.route.tree import Node, Pose, straight
 from coopqp.spatial import Array
 

@@ -29,7 +29,7 @@ def run_program(run: CellRun, arguments: argparse.Namespace, share: float, folde
     from coopqp.files.cellfile import CellFileError
     from coopqp.files.cellfile.paths import folder_of
     from coopqp.files.cellfile.write import planned_program_text
-    from coopqp.planning.branch_checks import PathVerdict
+    from coopqp.paths.certificate import PathVerdict
     from coopqp.planning.check import check_path
     from coopqp.planning.program_timing import time_program
     from coopqp.programs.program import Program

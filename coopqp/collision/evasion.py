@@ -13,7 +13,7 @@ from coopqp.collision.distances import Distances, LowerBounds
 from coopqp.core._core import EVADES_EARLY, GENTLE, HELPS, SMALL_CLEARANCE, YIELDS
 from coopqp.model.cell import RobotCell
 from coopqp.model.chain import moving_columns
-from coopqp.planning.joint_trajectories import CellTrajectory
+from coopqp.paths.joint_trajectories import CellTrajectory
 from coopqp.spatial import Array
 
 #: Where nothing else is said: the approach to a margin [1/s], and how far redundant arms keep from it [m].

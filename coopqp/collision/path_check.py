@@ -15,12 +15,12 @@ import numpy as np
 import numpy.typing as npt
 
 from coopqp.collision.built_scene import BuiltScene
+from coopqp.collision.clearance_check import ClearanceCheck
 from coopqp.collision.distances import Distances
 from coopqp.core._core import SMALL_CLEARANCE
 from coopqp.model.shapes import NearPair
-from coopqp.planning.branch_checks import PathVerdict
-from coopqp.planning.clearance_check import ClearanceCheck
-from coopqp.planning.joint_trajectories import CellTrajectory
+from coopqp.paths.certificate import PathVerdict
+from coopqp.paths.joint_trajectories import CellTrajectory
 from coopqp.spatial import Array
 
 #: The least distance is proved to within this [m], or this share of its clearance.

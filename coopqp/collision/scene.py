@@ -15,10 +15,11 @@ import pinocchio as pin
 from coopqp.checks import as_scalar, require
 from coopqp.collision.branch_choice import clear_choice
 from coopqp.collision.built_scene import BuiltScene, Levers, Part, joints_to
+from coopqp.collision.clearance_check import NO_SHAPES, ClearanceCheck
 from coopqp.collision.coal_geometry import reach_of
 from coopqp.collision.convex_shapes import ConvexShapes
 from coopqp.collision.distances import Distances, core_shapes
-from coopqp.collision.edges import SceneEdges
+from coopqp.collision.edges import EdgeLimits, Edges
 from coopqp.collision.evasion import evading_trajectory
 from coopqp.collision.gaps import ObjectGaps
 from coopqp.collision.one_robot import OneRobot
@@ -29,10 +30,8 @@ from coopqp.model.batch import ArmKinematics
 from coopqp.model.cell import RobotCell
 from coopqp.model.grasp import Grasp
 from coopqp.model.shapes import Body, Box, NearPair
+from coopqp.paths.joint_trajectories import CellTrajectory
 from coopqp.paths.scenario import Scenario
-from coopqp.planning.clearance_check import NO_SHAPES, ClearanceCheck
-from coopqp.planning.joint_trajectories import CellTrajectory
-from coopqp.planning.route.edges import EdgeLimits, Edges
 from coopqp.spatial import Array, as_placement
 
 #: Distance that is kept by default [m].
@@ -185,7 +184,10 @@ class CollisionScene:
         return np.asarray(self.built.inside)
 
     def required_at(self, starts: Array) -> tuple[Array, Array]:
-        """See :class:`coopqp.planning.route.edges.SearchedBodies`."""
+        """Required distances (P,) [m], where pairs may start inside their margin as at ``starts`` (M, nv), and levers.
+
+        Levers (P,) are finite for pairs of the object and a body that stands: no motion of an arm changes these.
+        """
         built = self.built
         required = np.where(built.moves, -np.inf, built.margins)  # where bodies move to nobody knows
         if built.inside.any():
@@ -201,14 +203,20 @@ class CollisionScene:
 
     def edges(self, arms: Sequence[ArmKinematics], grasp: Grasp, limits: EdgeLimits) -> Edges:
         """Edges of a search for a way of these arms among the bodies."""
-        return SceneEdges(self.built, self._core_shapes, arms, grasp, limits)
+        return Edges(self.built, self._core_shapes, arms, grasp, limits)
 
     @cached_property
     def _gaps(self) -> ObjectGaps:
         return ObjectGaps(self.built, self.grasp)
 
     def pushed(self, T_world_object: pin.SE3, along: Array, required: Array) -> pin.SE3 | None:
-        """See :class:`coopqp.planning.route.edges.SearchedBodies`."""
+        """A pose pushed across a line until the object keeps its distances from what stands; None if it does not.
+
+        Args:
+            T_world_object: the pose.
+            along: unit vector of the line (3,), along which it is not pushed.
+            required: distance of each pair (P,) [m].
+        """
         return self._gaps.pushed(T_world_object, along, required)
 
     def widened(self, clearance: float) -> CollisionScene:

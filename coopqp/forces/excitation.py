@@ -17,8 +17,8 @@ from coopqp.model.cell import RobotCell
 from coopqp.model.grasp import Grasp
 from coopqp.model.inverse_kinematics import inverse_kinematics
 from coopqp.model.state import CellState
+from coopqp.paths.certificate import PathVerdict
 from coopqp.paths.path import LinePath, WaypointPath
-from coopqp.planning.branch_checks import PathVerdict
 from coopqp.planning.check import PathCheck, check_path
 from coopqp.spatial import Array
 

@@ -2,4 +2,6 @@
 
 from coopqp.lazy import attach
 
-__getattr__, __dir__, __all__ = attach(__name__, __file__)
+__getattr__, __dir__, __all__ = attach(
+    __name__, __file__, gone=dict.fromkeys(("Bodies", "SearchedBodies"), "coopqp.CollisionScene")
+)

@@ -8,7 +8,8 @@ from typing import Any
 import numpy as np
 
 from coopqp.model.branches import amount
-from coopqp.planning.branch_checks import BranchCheck, PathVerdict, follows
+from coopqp.paths.certificate import PathVerdict, follows
+from coopqp.planning.branch_checks import BranchCheck
 from coopqp.shown import Brief
 
 

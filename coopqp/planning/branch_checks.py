@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import enum
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -12,10 +11,10 @@ import pinocchio as pin
 from coopqp.constraints.samples import PathSamples
 from coopqp.model.batch import ArmKinematics
 from coopqp.model.branches import AT_LIMIT, amount, find_branches
+from coopqp.paths.certificate import LEAST_SIGMA, PathVerdict as PathVerdict, exactness, prove
+from coopqp.paths.joint_trajectories import ArmTrajectory
+from coopqp.paths.segments import Indices, Segments
 from coopqp.planning.arm_starts import away_from_limits, why_it_ends
-from coopqp.planning.certificate import LEAST_SIGMA, exactness, prove
-from coopqp.planning.joint_trajectories import ArmTrajectory
-from coopqp.planning.segments import Indices, Segments
 from coopqp.shown import Brief
 from coopqp.spatial import Array
 
@@ -28,25 +27,6 @@ _BEYOND = 0.6
 _LED, _LEADS, _STRIDE = 0.35, (0.06, 0.03, 0.015), 0.5
 #: Poses at which a configuration of a redundant arm inside its limits is searched.
 _ASKED = 8
-
-
-class PathVerdict(enum.Enum):
-    """Verdict of :func:`coopqp.check_path`, the best first."""
-
-    CERTIFIED = "CERTIFIED"  #: proved at every point of the path
-    SAMPLED = "SAMPLED"  #: followed at samples; nothing is proved between them
-    UNDECIDED = "UNDECIDED"  #: not proved on some intervals
-    INFEASIBLE = "INFEASIBLE"  #: an arm cannot follow the path
-
-
-def worst(verdicts: list[PathVerdict]) -> PathVerdict:
-    """The worst verdict."""
-    return max(verdicts, key=list(PathVerdict).index)
-
-
-def follows(verdict: PathVerdict) -> bool:
-    """True for the verdicts on a path that is followed, with a proof or at samples."""
-    return verdict in (PathVerdict.CERTIFIED, PathVerdict.SAMPLED)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
@@ -111,7 +91,7 @@ class ToolPath:
 
     @property
     def places(self) -> Array:
-        """Places of the knots (K,); see :mod:`coopqp.planning.joint_trajectories`."""
+        """Places of the knots (K,); see :mod:`coopqp.paths.joint_trajectories`."""
         return self.clocks if self.segments is None else self.segment + self.share
 
 

@@ -10,49 +10,50 @@ from __future__ import annotations
 import copy
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 import pinocchio as pin
 
 from coopqp.checks import ArrayLike, as_count
+from coopqp.collision.clearance_check import ClearanceCheck as ClearanceCheck
 from coopqp.constraints.samples import PathSamples, sample_path
 from coopqp.errors import InvalidInputError
 from coopqp.model.batch import ArmKinematics
 from coopqp.model.cell import RobotCell
 from coopqp.model.chain import Chain
 from coopqp.model.grasp import Grasp
+from coopqp.paths.certificate import PathVerdict, follows, worst
 from coopqp.paths.elbows import Elbows
 from coopqp.paths.geometry import PathGeometry
 from coopqp.paths.guarded import GuardedPath
+from coopqp.paths.joint_trajectories import CellTrajectory, HeldTrajectory
 from coopqp.paths.moving_grasps import HOLD_ON, refuse_motion, refuse_ways
 from coopqp.paths.path import ObjectPath
+from coopqp.paths.segments import Segments, segments_of
 from coopqp.paths.timed import TimedPath
 from coopqp.planning.arm_check import ArmCheck, UndecidedInterval, arm_record
 from coopqp.planning.arm_starts import ArmOnPath, BranchAlongPath, arm_on_path, trouble
 from coopqp.planning.branch_checks import (
     BranchCheck,
-    PathVerdict,
     ToolPath,
     check_branches,
     check_trajectory,
-    follows,
     not_disproved,
     path_at,
     tool_path,
-    worst,
 )
-from coopqp.planning.clearance_check import Bodies, ClearanceCheck, check_scene
-from coopqp.planning.joint_trajectories import CellTrajectory, HeldTrajectory
 from coopqp.planning.joint_way_check import check_with_ways, ways_of
 from coopqp.planning.moving_trajectory import MovingTrajectory
 from coopqp.planning.phase_checks import PhaseCheck, explained, phase_checks
-from coopqp.planning.segments import Segments, segments_of
 from coopqp.planning.shared_check import check_group, stands_at
 from coopqp.planning.shared_way import SharedWay
-from coopqp.planning.starts import clear_rows, exact_start
+from coopqp.planning.starts import check_scene, clear_rows, exact_start
 from coopqp.planning.tools_on_object import tool_on_object, tools_move, why_no_scene
 from coopqp.spatial import Array
+
+if TYPE_CHECKING:
+    from coopqp.collision.scene import CollisionScene
 
 #: Most branches of a redundant arm that are checked; they are samples of its self-motion.
 _MOST_REDUNDANT = 8
@@ -127,7 +128,7 @@ class PathCheck:
     path: ObjectPath
     given: bool = False
     clearance: ClearanceCheck | None = None
-    scene: Bodies | None = None
+    scene: CollisionScene | None = None
     remedies: tuple[Remedy, ...] = ()
     no_remedy: tuple[str, ...] = ()
     shared: tuple[SharedWay, ...] = ()
@@ -240,12 +241,12 @@ def check_path(
     path: ObjectPath,
     *,
     q_start: ArrayLike | None = None,
-    scene: Bodies | None = None,
+    scene: CollisionScene | None = None,
     seed_factor: int = 1,
 ) -> PathCheck:
     """Can the arms follow a path inside their position limits, away from singularities, and without touching?
 
-    The library's own paths are proved between samples, too (:mod:`coopqp.planning.certificate`,
+    The library's own paths are proved between samples, too (:mod:`coopqp.paths.certificate`,
     :mod:`coopqp.collision.path_check`). Other paths, arms with fewer than six joints and the remaining branches of
     redundant arms are sampled.
 
@@ -319,7 +320,7 @@ def _distances_of_tools(
     path: ObjectPath,
     arms: Sequence[ArmCheck],
     tools: Sequence[Segments | None],
-    scene: Bodies,
+    scene: CollisionScene,
     rest: Array,
 ) -> ClearanceCheck:
     """Distances where tools move on the object."""
@@ -350,7 +351,7 @@ def _groups(
     return grouped, tuple(shared)
 
 
-def check_motion(cell: RobotCell, grasp: Grasp, path: TimedPath, x: Array, scene: Bodies) -> PathCheck | None:
+def check_motion(cell: RobotCell, grasp: Grasp, path: TimedPath, x: Array, scene: CollisionScene) -> PathCheck | None:
     """The verdict on one motion of all arms along a planned path, with the distances of a scene.
 
     :func:`check_path` chooses a motion of the elbows of redundant arms; this is for a given one. Distances are looked
@@ -382,7 +383,7 @@ def check_motion(cell: RobotCell, grasp: Grasp, path: TimedPath, x: Array, scene
 
 
 def places_along(geometry: PathGeometry, s: Array) -> Array:
-    """Places (K,) of a planned path (:mod:`coopqp.planning.joint_trajectories`) at s (K,) along its geometry [m]."""
+    """Places (K,) of a planned path (:mod:`coopqp.paths.joint_trajectories`) at s (K,) along its geometry [m]."""
     marks = geometry.marks
     piece = np.clip(np.searchsorted(marks, s, side="right") - 1, 0, len(marks) - 2)
     places = piece + (s - marks[piece]) / np.diff(marks)[piece]
@@ -397,7 +398,7 @@ def _result(
     arms: list[ArmCheck],
     start: Array | None,
     clearance: ClearanceCheck | None,
-    scene: Bodies | None,
+    scene: CollisionScene | None,
     *,
     given: bool,
 ) -> PathCheck:
@@ -422,7 +423,9 @@ def _result(
     )
 
 
-def _clear(cell: RobotCell, grasp: Grasp, samples: PathSamples, arms: list[ArmCheck], scene: Bodies) -> list[ArmCheck]:
+def _clear(
+    cell: RobotCell, grasp: Grasp, samples: PathSamples, arms: list[ArmCheck], scene: CollisionScene
+) -> list[ArmCheck]:
     """Results with the best branches that keep clear of each other, if any do."""
     options = [[b for b in arm.branches if b.verdict is not PathVerdict.INFEASIBLE] for arm in arms]
     choice = clear_rows(cell, grasp, samples, [[b.q[0] for b in own] for own in options], scene)
@@ -438,7 +441,7 @@ def _distances(
     samples: PathSamples,
     segments: Segments | None,
     arms: list[ArmCheck],
-    scene: Bodies,
+    scene: CollisionScene,
     rest: Array,
     *,
     any_start: bool,

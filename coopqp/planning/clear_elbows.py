@@ -8,17 +8,20 @@ evade, and every step has the planned rate.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from coopqp.errors import UndecidedError, UnreachableError
+from coopqp.paths.certificate import PathVerdict
 from coopqp.paths.timed import SpeedProfile, TimedPath
-from coopqp.planning.branch_checks import PathVerdict
 from coopqp.planning.check import PathCheck, check_motion, check_path, places_along
-from coopqp.planning.clearance_check import Bodies
 from coopqp.planning.knots import Lead
 from coopqp.planning.timing import TimedMotion
 from coopqp.spatial import Array
+
+if TYPE_CHECKING:
+    from coopqp.collision.scene import CollisionScene
 
 #: Samples of a motion of the elbows along the whole path.
 _SAMPLES = 240
@@ -33,7 +36,7 @@ _LEAST = 1e-4
 
 
 def clear_plan(
-    check: PathCheck, motion: TimedMotion, scene: Bodies, timing: Callable[[Lead], TimedMotion]
+    check: PathCheck, motion: TimedMotion, scene: CollisionScene, timing: Callable[[Lead], TimedMotion]
 ) -> tuple[TimedPath, PathCheck] | None:
     """A timed path with elbows that are proved to keep clear, and its check; None if none is found.
 
@@ -57,7 +60,7 @@ def clear_plan(
     return None
 
 
-def _leads(check: PathCheck, motion: TimedMotion, scene: Bodies) -> Iterator[Lead]:
+def _leads(check: PathCheck, motion: TimedMotion, scene: CollisionScene) -> Iterator[Lead]:
     """Motions of the elbows to try, the fastest first."""
     geometry, profile = motion.path.geometry(), motion.path.profile
     s = np.linspace(0.0, geometry.length, _SAMPLES)

@@ -13,9 +13,10 @@ from coopqp.core._core import FAR_FROM_WAY
 from coopqp.errors import InvalidInputError
 from coopqp.model.batch import ArmKinematics
 from coopqp.model.branches import amount
+from coopqp.paths.certificate import PathVerdict, worst
 from coopqp.paths.joint_path import JointPiece
 from coopqp.paths.path import ObjectPath
-from coopqp.planning.branch_checks import BranchCheck, PathVerdict, check_branches, not_disproved, worst
+from coopqp.planning.branch_checks import BranchCheck, check_branches, not_disproved
 from coopqp.planning.tools_on_object import tool_on_object
 from coopqp.spatial import Array
 

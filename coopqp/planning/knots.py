@@ -19,9 +19,9 @@ from coopqp.model.batch import ArmKinematics
 from coopqp.model.cell import RobotCell
 from coopqp.model.grasp import Grasp
 from coopqp.paths.geometry import PathGeometry
+from coopqp.paths.segments import Indices
 from coopqp.planning.arm_starts import why_it_ends
 from coopqp.planning.on_shared import OnShared, group_joints
-from coopqp.planning.segments import Indices
 from coopqp.spatial import Array, cross
 
 #: A knot is reached within this [m, rad]; then Newton's method goes on to rounding.

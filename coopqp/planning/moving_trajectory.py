@@ -8,9 +8,9 @@ from typing import final
 import numpy as np
 
 from coopqp.model.cell import RobotCell
+from coopqp.paths.joint_trajectories import ArmTrajectory, CellTrajectory
 from coopqp.paths.path import ObjectPath
-from coopqp.planning.joint_trajectories import ArmTrajectory, CellTrajectory
-from coopqp.planning.segments import Segments
+from coopqp.paths.segments import Segments
 from coopqp.spatial import Array, as_placement
 
 

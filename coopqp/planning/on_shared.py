@@ -12,7 +12,7 @@ import pinocchio as pin
 from coopqp.model.batch import ArmKinematics
 from coopqp.model.cell import Arm, RobotCell
 from coopqp.model.joint_limits import LIMIT_FIELDS, JointLimits
-from coopqp.planning.segments import Indices
+from coopqp.paths.segments import Indices
 from coopqp.spatial import Array
 
 #: Tolerance of Newton's method [m, rad].

@@ -6,10 +6,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
+from coopqp.collision.clearance_check import ClearanceCheck
+from coopqp.paths.certificate import PathVerdict, worst
 from coopqp.paths.path import ObjectPath
 from coopqp.planning.arm_check import ArmCheck
-from coopqp.planning.branch_checks import PathVerdict, worst
-from coopqp.planning.clearance_check import ClearanceCheck
 from coopqp.programs.program import PhaseSpan, Program
 
 #: A clock this close to the end of a phase belongs to it [s].

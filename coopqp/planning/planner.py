@@ -7,7 +7,7 @@ import itertools
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, NoReturn
+from typing import TYPE_CHECKING, Any, NoReturn
 
 import numpy as np
 
@@ -17,20 +17,22 @@ from coopqp.errors import InvalidInputError, UndecidedError, UnreachableError
 from coopqp.model.cell import RobotCell
 from coopqp.model.chain import moving_columns
 from coopqp.model.grasp import Grasp
+from coopqp.paths.certificate import PathVerdict, follows
 from coopqp.paths.geometry import PathGeometry, Straight, blended
 from coopqp.paths.path import LinePath, ObjectPath
 from coopqp.paths.timed import SpeedProfile, TimedPath
-from coopqp.planning.branch_checks import PathVerdict, follows
 from coopqp.planning.check import PathCheck, check_motion, check_path, places_along
 from coopqp.planning.clear_elbows import clear_plan, smooth
-from coopqp.planning.clearance_check import Bodies, check_scene
 from coopqp.planning.fastest_start import faster_start
 from coopqp.planning.knots import Lead
 from coopqp.planning.payload import Payload
-from coopqp.planning.starts import Start, find_start
+from coopqp.planning.starts import Start, check_scene, find_start
 from coopqp.planning.timing import SHARE, geometry_of, timed_motion
 from coopqp.shown import Brief
 from coopqp.spatial import Array, Placement, as_placements
+
+if TYPE_CHECKING:
+    from coopqp.collision.scene import CollisionScene
 
 #: Limits that bind for less than this share of the duration are not listed.
 _WORTH_SAYING = 0.01
@@ -92,7 +94,7 @@ def plan(
     share: float = SHARE,
     knots: int | None = None,
     starts: int = 1,
-    scene: Bodies | None = None,
+    scene: CollisionScene | None = None,
 ) -> Plan:
     """Find a start, and the fastest way along a path from rest to rest.
 

@@ -18,9 +18,9 @@ from coopqp.constraints.samples import PathSamples, sample_path
 from coopqp.model.batch import ArmKinematics
 from coopqp.model.cell import RobotCell
 from coopqp.model.grasp import Grasp
+from coopqp.paths.certificate import follows
 from coopqp.paths.path import HoldPath, LinePath, ObjectPath, WaypointPath
 from coopqp.planning.arm_starts import arm_on_path, rolled
-from coopqp.planning.branch_checks import follows
 from coopqp.planning.check import PathCheck, Remedy, check_path
 from coopqp.planning.tools_on_object import tools_move
 from coopqp.spatial import Array

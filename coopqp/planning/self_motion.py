@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 from coopqp.checks import ArrayLike
 from coopqp.errors import CoopqpError
 from coopqp.model.cell import RobotCell
@@ -10,7 +12,9 @@ from coopqp.model.grasp import Grasp
 from coopqp.model.posture import PostureOptions
 from coopqp.paths.path import ObjectPath
 from coopqp.planning.check import check_path
-from coopqp.planning.clearance_check import Bodies
+
+if TYPE_CHECKING:
+    from coopqp.collision.scene import CollisionScene
 
 
 def led_path(
@@ -20,7 +24,7 @@ def led_path(
     *,
     q_start: ArrayLike,
     posture: PostureOptions,
-    scene: Bodies | None = None,
+    scene: CollisionScene | None = None,
 ) -> ObjectPath:
     """The path with elbows as :meth:`PathCheck.led_path` has them, for a run from a start.
 

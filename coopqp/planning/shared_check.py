@@ -14,19 +14,18 @@ import numpy as np
 from coopqp.constraints.samples import PathSamples
 from coopqp.model.cell import RobotCell, slides
 from coopqp.model.grasp import Grasp
+from coopqp.paths.certificate import exactness, follows
+from coopqp.paths.segments import Segments
 from coopqp.planning.branch_checks import (
     BranchCheck,
     ToolPath,
     check_trajectory,
-    follows,
     led_inside,
     not_disproved,
     path_at,
     tool_path,
 )
-from coopqp.planning.certificate import exactness
 from coopqp.planning.on_shared import OnShared, group_joints
-from coopqp.planning.segments import Segments
 from coopqp.planning.shared_way import FEW, MOST_SAMPLES, SharedWay, ways_at
 from coopqp.spatial import Array
 

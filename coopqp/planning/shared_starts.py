@@ -10,9 +10,9 @@ import pinocchio as pin
 
 from coopqp.constraints.samples import PathSamples
 from coopqp.model.cell import RobotCell
+from coopqp.paths.segments import Segments
 from coopqp.planning.arm_starts import ArmOnPath, arm_on_shared
 from coopqp.planning.on_shared import OnShared
-from coopqp.planning.segments import Segments
 from coopqp.planning.shared_way import FEW, MOST_SAMPLES, SharedWay, places_of, ways_at
 from coopqp.spatial import Array
 

@@ -20,9 +20,9 @@ from coopqp.constraints.samples import PathSamples
 from coopqp.model.batch import ArmKinematics
 from coopqp.model.branches import AT_LIMIT, find_branches
 from coopqp.model.cell import RobotCell
+from coopqp.paths.segments import Indices, Segments
 from coopqp.planning.arm_starts import GOOD_MARGIN, GOOD_SIGMA, away_from_limits
 from coopqp.planning.on_shared import OnShared, group_joints
-from coopqp.planning.segments import Indices, Segments
 from coopqp.spatial import Array
 
 #: Positions of one shared joint in the grid, of each of two, of three, and of more.
@@ -49,7 +49,7 @@ class SharedWay:
     Attributes:
         arms: indices of the group's arms.
         joints: velocity coordinates of the shared joints in the cell (S,).
-        places: rising (W,); see :mod:`coopqp.planning.joint_trajectories`.
+        places: rising (W,); see :mod:`coopqp.paths.joint_trajectories`.
         s: positions there (W, S) [rad or m].
     """
 

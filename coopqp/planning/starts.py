@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 import pinocchio as pin
@@ -22,13 +23,15 @@ from coopqp.model.grasp import Grasp
 from coopqp.model.inverse_kinematics import newton
 from coopqp.paths.moving_grasps import HOLD_ON, refuse_motion, refuse_ways
 from coopqp.paths.path import ObjectPath
+from coopqp.paths.segments import segments_of
 from coopqp.planning.arm_starts import ArmOnPath, BranchAlongPath, arm_on_path, rolled, trouble
-from coopqp.planning.clearance_check import Bodies, check_scene
 from coopqp.planning.on_shared import OnShared, group_joints
-from coopqp.planning.segments import segments_of
 from coopqp.planning.shared_starts import group_on_path
 from coopqp.shown import Brief
 from coopqp.spatial import Array
+
+if TYPE_CHECKING:
+    from coopqp.collision.scene import CollisionScene
 
 #: Rolls of the tool that are tried for a remedy [deg], the most usual first.
 _ROLLS = ((180.0,), (90.0, -90.0), (45.0, -45.0, 135.0, -135.0), tuple(np.arange(-165.0, 180.0, 30.0)))
@@ -114,6 +117,20 @@ class Start(Brief):
         return "\n".join(lines)
 
 
+def check_scene(cell: RobotCell, scene: CollisionScene | None, where: str) -> None:
+    """Refuse a scene of other arms.
+
+    Raises:
+        InvalidInputError: it is of another cell, or is no scene.
+    """
+    if scene is None:
+        return
+    if not callable(getattr(scene, "along", None)):
+        raise InvalidInputError(f"a {type(scene).__name__}", where, "Give a CollisionScene.")
+    if scene.cell is not cell:
+        raise InvalidInputError("a scene of another cell", where, "Give the cell that the scene was made of.")
+
+
 def find_start(
     cell: RobotCell,
     grasp: Grasp,
@@ -121,7 +138,7 @@ def find_start(
     *,
     free_roll: Mapping[str, Sequence[float]] | None = None,
     q_near: ArrayLike | None = None,
-    scene: Bodies | None = None,
+    scene: CollisionScene | None = None,
     seed_factor: int = 1,
 ) -> Start:
     """Find a start configuration from which every arm follows the whole path inside its limits.
@@ -210,7 +227,7 @@ def _of_groups(cell: RobotCell, grasp: Grasp, path: ObjectPath, samples: PathSam
 
 
 def clear_rows(
-    cell: RobotCell, grasp: Grasp, samples: PathSamples, options: Sequence[Sequence[Array]], scene: Bodies
+    cell: RobotCell, grasp: Grasp, samples: PathSamples, options: Sequence[Sequence[Array]], scene: CollisionScene
 ) -> tuple[int, ...] | None:
     """Index of one start (n,) per arm, so that all margins are kept; None if there are none. The best come first."""
     if not all(map(len, options)):

@@ -20,9 +20,9 @@ from coopqp.model.cell import RobotCell
 from coopqp.paths.geometry import MotionBounds, Piece
 from coopqp.paths.grasp_motion import GraspPiece
 from coopqp.paths.path import ObjectPath
+from coopqp.paths.segments import Segments
 from coopqp.paths.time_law import TimeLaw
 from coopqp.planning.branch_checks import ToolPath, tool_path
-from coopqp.planning.segments import Segments
 from coopqp.spatial import Array, cross, rotations
 
 #: Times that differ by less than this are the same [s].

@@ -22,9 +22,9 @@ from coopqp.model.grasp import Grasp
 from coopqp.paths.moving_grasps import refuse_motion
 from coopqp.paths.path import ObjectPath
 from coopqp.paths.scenario import Scenario
+from coopqp.paths.segments import segments_of
 from coopqp.planning.arm_starts import ArmOnPath, BranchAlongPath, arm_on_path, trouble
 from coopqp.planning.on_shared import OnShared, group_joints
-from coopqp.planning.segments import segments_of
 from coopqp.planning.shared_check import stands_at
 from coopqp.planning.shared_starts import group_on_path
 from coopqp.planning.shared_way import SharedWay, places_of

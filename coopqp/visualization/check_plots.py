@@ -6,11 +6,11 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from coopqp.collision.clearance_check import ClearanceCheck
 from coopqp.model.batch import ArmKinematics
-from coopqp.planning.branch_checks import BranchCheck, PathVerdict
-from coopqp.planning.certificate import LEAST_SIGMA
+from coopqp.paths.certificate import LEAST_SIGMA, PathVerdict
+from coopqp.planning.branch_checks import BranchCheck
 from coopqp.planning.check import PathCheck
-from coopqp.planning.clearance_check import ClearanceCheck
 from coopqp.visualization.style import (
     COLOURS,
     INK,

@@ -17,9 +17,9 @@ from coopqp.collision.evasion import EvadingSlopes, Evasion
 from coopqp.collision.moving_bodies import MovingBodies
 from coopqp.constraints.velocity import LabelledRows
 from coopqp.model import CellState, LimitKind
+from coopqp.paths.joint_trajectories import ArmTrajectory, HeldTrajectory
+from coopqp.paths.segments import segments_of
 from coopqp.planning import ClearanceCheck, PathVerdict
-from coopqp.planning.joint_trajectories import ArmTrajectory, HeldTrajectory
-from coopqp.planning.segments import segments_of
 from coopqp.scenarios import Scenario, dual_arm7, elbow_and_knob, paper_lift
 from coopqp.spatial import Array, as_placement
 

@@ -136,7 +136,7 @@ EQUIVALENT: dict[tuple[str, str, str], str] = {
                 "const int n = Symmetric::RowsAtCompileTime < 1 ? (int)G.rows() : Symmetric::RowsAtCompileTime;",
             ): "the number of rows is negative where it is not known, and at least 1 where it is",
         },
-        "coopqp/planning/certificate.py": {
+        "coopqp/paths/certificate.py": {
             (
                 "return answer.q, np.empty((len(guess), 0, 6)), answer.residual <= exact",
                 "return answer.q, np.empty((len(guess), 0, 6)), answer.residual < exact",

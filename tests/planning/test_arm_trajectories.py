@@ -13,12 +13,12 @@ from user_paths import Opaque
 from coopqp import InvalidInputError, WaypointPath, check_path
 from coopqp.constraints.samples import sample_path
 from coopqp.model import CellState
+from coopqp.paths.joint_trajectories import ArmTrajectory, HeldTrajectory
+from coopqp.paths.segments import Segments, segments_of
 from coopqp.planning import PathVerdict
 from coopqp.planning.clear_elbows import smooth
-from coopqp.planning.joint_trajectories import ArmTrajectory, HeldTrajectory
 from coopqp.planning.knots import hermite, merged
 from coopqp.planning.planner import some_timing
-from coopqp.planning.segments import Segments, segments_of
 from coopqp.planning.shared_way import SharedWay, few_samples, places_of
 from coopqp.scenarios import Scenario, paper_lift
 

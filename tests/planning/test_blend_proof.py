@@ -11,9 +11,9 @@ from numpy.typing import NDArray
 
 from coopqp import check_path
 from coopqp.paths.geometry import Blend, MotionBounds, PathGeometry, Piece, Straight, blended
+from coopqp.paths.segments import segments_of
 from coopqp.planning import PathVerdict
 from coopqp.planning.planner import some_timing
-from coopqp.planning.segments import segments_of
 from coopqp.scenarios import Scenario
 
 Array = NDArray[np.float64]

@@ -10,10 +10,11 @@ import numpy as np
 import pytest
 
 from coopqp.model.batch import ArmKinematics
+from coopqp.paths.certificate import follows, worst
+from coopqp.paths.joint_trajectories import ArmTrajectory
 from coopqp.planning import PathVerdict
 from coopqp.planning.arm_check import ArmCheck, arm_record
-from coopqp.planning.branch_checks import BranchCheck, follows, worst
-from coopqp.planning.joint_trajectories import ArmTrajectory
+from coopqp.planning.branch_checks import BranchCheck
 from coopqp.scenarios import paper_lift
 
 CERTIFIED, SAMPLED, UNDECIDED, INFEASIBLE = PathVerdict

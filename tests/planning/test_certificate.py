@@ -7,9 +7,9 @@ import numpy as np
 from coopqp import check_path
 from coopqp.constraints.samples import sample_path
 from coopqp.model.batch import ArmKinematics
+from coopqp.paths.segments import segments_of
 from coopqp.planning import PathVerdict
 from coopqp.planning.branch_checks import check_trajectory, path_at, tool_path
-from coopqp.planning.segments import segments_of
 from coopqp.scenarios import dual_arm7
 
 

@@ -30,9 +30,9 @@ from coopqp.collision import Body, Box, Sphere
 from coopqp.model import CellState
 from coopqp.model.chain import Chain
 from coopqp.model.inverse_kinematics import newton
+from coopqp.paths.joint_trajectories import HeldTrajectory
+from coopqp.paths.segments import segments_of
 from coopqp.planning import PathCheck, PathVerdict, find_remedies
-from coopqp.planning.joint_trajectories import HeldTrajectory
-from coopqp.planning.segments import segments_of
 from coopqp.scenarios import (
     Scenario,
     dual_arm7,

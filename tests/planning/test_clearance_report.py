@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 import pytest
 
+from coopqp.collision.clearance_check import NO_SHAPES, ClearanceCheck, remark
 from coopqp.model.shapes import NearPair
 from coopqp.planning import PathVerdict
-from coopqp.planning.clearance_check import NO_SHAPES, ClearanceCheck, remark
 
 CERTIFIED, SAMPLED, UNDECIDED, INFEASIBLE = PathVerdict
 

@@ -9,13 +9,13 @@ import pinocchio as pin
 import pytest
 
 from coopqp import LinePath
+from coopqp.collision.clearance_check import ClearanceCheck
 from coopqp.model.batch import ArmKinematics
 from coopqp.model.shapes import NearPair
+from coopqp.paths.joint_trajectories import ArmTrajectory
 from coopqp.planning import PathVerdict
 from coopqp.planning.arm_check import ArmCheck
 from coopqp.planning.branch_checks import BranchCheck
-from coopqp.planning.clearance_check import ClearanceCheck
-from coopqp.planning.joint_trajectories import ArmTrajectory
 from coopqp.planning.phase_checks import explained, phase_checks
 from coopqp.programs import Phase, Program
 from coopqp.scenarios import Scenario, paper_lift

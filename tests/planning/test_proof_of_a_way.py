@@ -11,10 +11,10 @@ import pytest
 
 from coopqp import WaypointPath
 from coopqp.model.batch import ArmKinematics
+from coopqp.paths.certificate import Proof, between, exactness, prove
 from coopqp.paths.geometry import blended
-from coopqp.planning.certificate import Proof, between, exactness, prove
-from coopqp.planning.joint_trajectories import ArmTrajectory
-from coopqp.planning.segments import Segments
+from coopqp.paths.joint_trajectories import ArmTrajectory
+from coopqp.paths.segments import Segments
 from coopqp.scenarios import dual_arm7, paper_lift
 
 

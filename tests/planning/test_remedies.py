@@ -12,12 +12,12 @@ import pytest
 from user_paths import Opaque
 
 from coopqp import Grasp, HoldPath, LinePath, ObjectPath, RobotCell, WaypointPath, check_path
+from coopqp.collision.clearance_check import ClearanceCheck
 from coopqp.model.shapes import NearPair
 from coopqp.planning import PathCheck, PathVerdict, find_remedies
 from coopqp.planning.arm_check import UndecidedInterval
 from coopqp.planning.arm_starts import rolled
 from coopqp.planning.check import Remedy, places_along
-from coopqp.planning.clearance_check import ClearanceCheck
 from coopqp.planning.remedies import Remedies, shifted
 from coopqp.scenarios import paper_lift
 

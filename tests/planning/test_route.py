@@ -26,14 +26,14 @@ from coopqp import (
 )
 from coopqp.collision import Body, Box, Capsule
 from coopqp.collision.distances import Distances
+from coopqp.collision.edges import STEP, columns_of, limits_with
 from coopqp.model import CellState
 from coopqp.model.batch import ArmKinematics
 from coopqp.paths.geometry import blended
 from coopqp.planning import ArmGoal, FreeTurn, PathVerdict, Route, RouteVerdict, TurnedGoal
 from coopqp.planning.route.duration import estimated_duration
-from coopqp.planning.route.edges import columns_of, limits_with
 from coopqp.planning.route.sampling import rounded
-from coopqp.planning.route.tree import STEP, Pose, distance, part_of
+from coopqp.planning.route.tree import Pose, distance, part_of
 from coopqp.scenarios import dual_arm7
 
 #: Poses in the trees that end a search in a test.

@@ -12,11 +12,11 @@ import pytest
 from path_samples import samples_of
 
 from coopqp import InvalidInputError
+from coopqp.collision.edges import columns_of, limits_with
 from coopqp.errors import UnknownNameError
 from coopqp.model.batch import ArmKinematics
 from coopqp.paths.geometry import Blend
 from coopqp.planning import ArmGoal, FreeTurn, Route, RouteVerdict, TurnedGoal
-from coopqp.planning.route.edges import columns_of, limits_with
 from coopqp.planning.route.goals import goal_poses
 from coopqp.planning.route.sampling import rounded
 from coopqp.planning.route.shape import corners_of

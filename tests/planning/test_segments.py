@@ -12,7 +12,7 @@ import pytest
 from coopqp import LinePath, WaypointPath
 from coopqp.constraints.samples import sample_path
 from coopqp.paths.geometry import blended
-from coopqp.planning.segments import Segments, segments_of
+from coopqp.paths.segments import Segments, segments_of
 from coopqp.planning.tools_on_object import ToolPiece
 from coopqp.scenarios import paper_lift
 from coopqp.spatial import Array

@@ -11,8 +11,8 @@ import pytest
 from path_samples import samples_of
 
 from coopqp import JointLimits
+from coopqp.collision.edges import Samples, Stop, Walked
 from coopqp.planning.route.duration import estimated_duration
-from coopqp.planning.route.edges import Samples, Stop, Walked
 from coopqp.planning.route.sampling import rounded
 from coopqp.planning.route.shape import Shape, Shaper
 from coopqp.planning.route.shorten import shortened

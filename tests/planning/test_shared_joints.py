@@ -25,7 +25,7 @@ from coopqp import (
 )
 from coopqp.errors import NoStartError
 from coopqp.model import CellState
-from coopqp.planning.branch_checks import PathVerdict, follows
+from coopqp.paths.certificate import PathVerdict, follows
 from coopqp.planning.check import PathCheck
 from coopqp.planning.remedies import with_remedies
 from coopqp.planning.shared_way import _Search

@@ -11,8 +11,8 @@ import pytest
 
 from coopqp import LinePath
 from coopqp.model.batch import ArmKinematics
-from coopqp.planning.certificate import Tubes, between, tubes
-from coopqp.planning.segments import Segments
+from coopqp.paths.certificate import Tubes, between, tubes
+from coopqp.paths.segments import Segments
 from coopqp.scenarios import mixed_cell, paper_lift
 from coopqp.spatial import Array
 

@@ -13,7 +13,7 @@ import pytest
 from path_samples import samples_of
 
 from coopqp import Grasp
-from coopqp.planning.route.edges import EdgeLimits, Samples, Stop, Walked
+from coopqp.collision.edges import EdgeLimits, Samples, Stop, Walked
 from coopqp.planning.route.sampling import rounded
 from coopqp.planning.route.search import Search, Searched, SearchLimits, SearchResult
 from coopqp.planning.route.tree import Node, Pose, distance, part_of

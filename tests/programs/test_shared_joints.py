@@ -9,7 +9,7 @@ from torsos import lift_cell
 
 from coopqp import InvalidInputError, LinePath, QPController, check_path, simulate
 from coopqp.model import CellState
-from coopqp.planning.branch_checks import PathVerdict
+from coopqp.paths.certificate import PathVerdict
 from coopqp.programs import Phase, Program, Waits
 
 

@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
+from coopqp.collision.edges import LEAST_SAMPLES, Samples
 from coopqp.paths.geometry import Blend, PathGeometry, Straight, ramp
-from coopqp.planning.route.edges import Samples
-from coopqp.planning.route.sampling import LEAST_SAMPLES
 from coopqp.planning.route.tree import STEP
 from coopqp.spatial import Array, rotations
 

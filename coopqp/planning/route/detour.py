@@ -6,11 +6,12 @@ import itertools
 import math
 import time
 from dataclasses import dataclass
-from typing import final
+from typing import TYPE_CHECKING, final
 
 import numpy as np
 import pinocchio as pin
 
+from coopqp.collision.edges import SPARE, EdgeLimits, Edges, columns_of, limits_with
 from coopqp.model.batch import ArmKinematics
 from coopqp.model.cell import RobotCell
 from coopqp.model.grasp import Grasp
@@ -18,13 +19,15 @@ from coopqp.paths.geometry import PathGeometry, Straight
 from coopqp.paths.path import ObjectPath
 from coopqp.paths.timed import SpeedProfile, TimedPath
 from coopqp.planning.route.duration import estimated_squares
-from coopqp.planning.route.edges import SPARE, EdgeLimits, Edges, SearchedBodies, columns_of, limits_with
 from coopqp.planning.route.ends import ends_at
 from coopqp.planning.route.search import Search, Searched, SearchLimits
 from coopqp.planning.route.shape import WIDEST, Shape, Shaper, corners_of
 from coopqp.planning.route.shorten import shortened
 from coopqp.planning.route.tree import Node, Pose, between, distance, length_of, size_of, straight
 from coopqp.spatial import Array
+
+if TYPE_CHECKING:
+    from coopqp.collision.scene import CollisionScene
 
 #: The object's origin keeps within this of the box of both ends, below and above [m].
 _BELOW, _ABOVE = 0.3, 0.4
@@ -95,7 +98,7 @@ class Detours:
         self,
         cell: RobotCell,
         grasp: Grasp,
-        scene: SearchedBodies,
+        scene: CollisionScene,
         *,
         clearance: float,
         fastest: float,

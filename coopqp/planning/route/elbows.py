@@ -12,9 +12,9 @@ from typing import NamedTuple
 
 import numpy as np
 
+from coopqp.collision.edges import LEAST_SIGMA
 from coopqp.model.batch import REACHED
 from coopqp.paths.geometry import PathGeometry
-from coopqp.planning.route.edges import LEAST_SIGMA
 from coopqp.planning.route.sampling import rounded
 from coopqp.planning.route.search import Searched
 from coopqp.planning.route.shape import corners_of

@@ -5,17 +5,21 @@ from __future__ import annotations
 import heapq
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 import pinocchio as pin
 
+from coopqp.collision.edges import Edges, columns_of
 from coopqp.core._core import SMALL_CLEARANCE
 from coopqp.model.batch import ArmKinematics
 from coopqp.model.branches import AT_LIMIT, Branches, all_turns, amount, find_branches
 from coopqp.model.cell import RobotCell
 from coopqp.model.grasp import Grasp
-from coopqp.planning.route.edges import Edges, SearchedBodies, columns_of
 from coopqp.spatial import Array
+
+if TYPE_CHECKING:
+    from coopqp.collision.scene import CollisionScene
 
 #: Roots of a tree; combinations of branches that are looked at one by one; branches of each arm that are combined.
 _ROOTS, _MOST_TRIED, _MOST_OPTIONS = 3, 100, 48
@@ -52,7 +56,7 @@ def ends_at(
     arms: Sequence[ArmKinematics],
     grasp: Grasp,
     T_world_object: pin.SE3,
-    scene: SearchedBodies,
+    scene: CollisionScene,
     edges: Edges,
     *,
     near: Array | None = None,
@@ -77,7 +81,7 @@ def _ends(
     arms: Sequence[ArmKinematics],
     grasp: Grasp,
     T_world_object: pin.SE3,
-    scene: SearchedBodies,
+    scene: CollisionScene,
     edges: Edges,
     near: Array | None,
     given: Mapping[int, Array],
@@ -166,7 +170,7 @@ def _no_branch(arm: ArmKinematics, found: Branches) -> str:
 def _clear_of_all(
     cell: RobotCell,
     arms: Sequence[ArmKinematics],
-    scene: SearchedBodies,
+    scene: CollisionScene,
     edges: Edges,
     columns: Sequence[Array],
     options: Sequence[Sequence[tuple[float, Array]]],

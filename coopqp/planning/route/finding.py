@@ -6,26 +6,26 @@ import time
 from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from typing import final
+from typing import TYPE_CHECKING, final
 
 import numpy as np
 import pinocchio as pin
 
 from coopqp.checks import NOT_NUMBERS, ArrayLike, as_count, as_floats, as_scalar
+from coopqp.collision.clearance_check import remark
+from coopqp.collision.edges import SPARE, EdgeLimits, Edges, Stop, columns_of, limits_with
 from coopqp.core._core import SMALL_CLEARANCE
 from coopqp.errors import InvalidInputError
 from coopqp.model.batch import ArmKinematics
 from coopqp.model.cell import RobotCell
 from coopqp.model.chain import Chain
 from coopqp.model.grasp import Grasp
+from coopqp.paths.certificate import PathVerdict
 from coopqp.paths.elbows import Elbows
 from coopqp.paths.timed import SpeedProfile, TimedPath
-from coopqp.planning.branch_checks import PathVerdict
 from coopqp.planning.check import PathCheck, check_motion, check_path
-from coopqp.planning.clearance_check import check_scene, remark
 from coopqp.planning.planner import some_timing
 from coopqp.planning.route.duration import estimated_squares
-from coopqp.planning.route.edges import SPARE, EdgeLimits, Edges, SearchedBodies, Stop, columns_of, limits_with
 from coopqp.planning.route.elbows import led_ways
 from coopqp.planning.route.ends import Ends, ends_at
 from coopqp.planning.route.goals import ArmGoal, GoalPose, TurnedGoal, goal_poses
@@ -34,8 +34,11 @@ from coopqp.planning.route.search import Search, Searched, SearchLimits, SearchR
 from coopqp.planning.route.shape import WIDEST, Shape, Shaper, corners_of
 from coopqp.planning.route.shorten import shortened
 from coopqp.planning.route.tree import Node, Pose, Tree, straight
-from coopqp.planning.starts import exact_start
+from coopqp.planning.starts import check_scene, exact_start
 from coopqp.spatial import Array, Placement, as_placement
+
+if TYPE_CHECKING:
+    from coopqp.collision.scene import CollisionScene
 
 #: The object's origin keeps within this of the box of start and goal, below and above [m].
 _BELOW, _ABOVE = 0.3, 0.4
@@ -63,7 +66,7 @@ def find_path(
     grasp: Grasp,
     start: Placement,
     goal: Placement | Sequence[Placement] | TurnedGoal | ArmGoal,
-    scene: SearchedBodies,
+    scene: CollisionScene,
     *,
     q_start: ArrayLike | None = None,
     nodes: int | None = None,
@@ -160,7 +163,7 @@ class _Finding:
         cell: RobotCell,
         grasp: Grasp,
         arms: list[ArmKinematics],
-        scene: SearchedBodies,
+        scene: CollisionScene,
         began: float,
         limits: _Limits,
         region: Array,

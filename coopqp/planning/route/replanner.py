@@ -7,7 +7,7 @@ import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from types import TracebackType
-from typing import Any, Protocol, final
+from typing import TYPE_CHECKING, Any, Protocol, final
 
 import numpy as np
 import pinocchio as pin
@@ -17,11 +17,13 @@ from coopqp.errors import InvalidInputError, UnknownNameError
 from coopqp.model.cell import RobotCell
 from coopqp.model.grasp import Grasp
 from coopqp.paths.path import ObjectPath
-from coopqp.planning.clearance_check import check_scene
 from coopqp.planning.route.detour import Detour, Detours, Motion
-from coopqp.planning.route.edges import SearchedBodies
 from coopqp.planning.route.tree import length_of
+from coopqp.planning.starts import check_scene
 from coopqp.spatial import Array, Placement, as_placement
+
+if TYPE_CHECKING:
+    from coopqp.collision.scene import CollisionScene
 
 #: Of the time ahead, the share that a search may take.
 _SEARCH_SHARE = 0.8
@@ -31,7 +33,7 @@ _FREE_SHARE = 0.5
 _AT_REST = 0.5
 #: Time of steps until a search that found nothing is made again [s].
 _AGAIN = 0.1
-#: Bodies that move by less are where they were [m]; a turn of 1 rad counts as 0.3 m.
+#: CollisionScene that move by less are where they were [m]; a turn of 1 rad counts as 0.3 m.
 _SAME_PLACE = 1e-3
 #: Samples of a path that tell its largest speed.
 _SAMPLED_CLOCKS = 50
@@ -108,7 +110,7 @@ class Replanner:
     def __init__(
         self,
         controller: _Followed,
-        scene: SearchedBodies,
+        scene: CollisionScene,
         *,
         lead: float = 0.2,
         clearance: float = 0.005,

@@ -10,9 +10,6 @@ from coopqp.paths.geometry import PathGeometry, Straight, blended
 from coopqp.planning.route.tree import Pose, between, length_of
 from coopqp.spatial import Array
 
-#: Samples of a piece for a walk of the arms, at least.
-LEAST_SAMPLES = 4
-
 
 def rounded(poses: Sequence[Pose], deviations: Array) -> PathGeometry:
     """Straight lines from each pose to the next, with corners rounded off.

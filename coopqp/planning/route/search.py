@@ -6,16 +6,19 @@ import time
 from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
-from typing import final
+from typing import TYPE_CHECKING, final
 
 import numpy as np
 import pinocchio as pin
 
+from coopqp.collision.edges import EdgeLimits, Edges, Stop
 from coopqp.model.batch import REACHED, ArmKinematics
 from coopqp.model.grasp import Grasp
-from coopqp.planning.route.edges import EdgeLimits, Edges, SearchedBodies, Stop
 from coopqp.planning.route.tree import Node, Pose, Tree, distance, part_of, size_of, straight
 from coopqp.spatial import Array
+
+if TYPE_CHECKING:
+    from coopqp.collision.scene import CollisionScene
 
 #: Longest edge towards a sample [m].
 _LONGEST = 0.6
@@ -85,7 +88,7 @@ class Searched:
     arms: Sequence[ArmKinematics]
     grasp: Grasp
     columns: Sequence[Array]
-    scene: SearchedBodies
+    scene: CollisionScene
     edges: Edges
     kept: EdgeLimits
     region: Array

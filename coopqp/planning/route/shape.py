@@ -10,11 +10,11 @@ from typing import NamedTuple, final
 import numpy as np
 import pinocchio as pin
 
+from coopqp.collision.edges import Edges, Samples
 from coopqp.core._core import TURN_LENGTH
 from coopqp.model.joint_limits import JointLimits
 from coopqp.paths.geometry import PathGeometry
 from coopqp.planning.route.duration import estimated_duration
-from coopqp.planning.route.edges import Edges, Samples
 from coopqp.planning.route.sampling import rounded
 from coopqp.planning.route.tree import Node, Pose, distance, part_of
 from coopqp.spatial import Array

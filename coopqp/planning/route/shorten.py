@@ -7,7 +7,7 @@ import time
 
 import numpy as np
 
-from coopqp.planning.route.edges import Edges
+from coopqp.collision.edges import Edges
 from coopqp.planning.route.tree import Node, Pose, distance, part_of, straight
 
 #: Shortcuts that are tried, and tries in a row without a gain after which no more are.

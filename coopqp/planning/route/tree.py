@@ -9,12 +9,12 @@ from typing import NamedTuple, final
 import numpy as np
 import pinocchio as pin
 
+from coopqp.collision.edges import STEP, Edges, Stop
 from coopqp.core._core import TURN_LENGTH
-from coopqp.planning.route.edges import Edges, Stop
 from coopqp.spatial import Array
 
-#: Motion of the object between poses of an edge, and between nodes [m]; 1 rad counts as 0.3 m.
-STEP, NODE_STEPS = 0.02, 5
+#: So many steps of an edge, of length STEP, lie between nodes; 1 rad counts as 0.3 m.
+NODE_STEPS = 5
 #: By so much more than its length an edge may be longer, by rounding.
 _ENLARGED = 1e-9
 

@@ -13,10 +13,10 @@ import numpy.typing as npt
 import pinocchio as pin
 
 from coopqp.checks import Doc, as_options, documented, keep_scalars
+from coopqp.collision.clearance_check import remark
 from coopqp.collision.pairs import pairs_said
 from coopqp.control.interface import Status
 from coopqp.model.cell import RobotCell, slides, standing
-from coopqp.planning.clearance_check import remark
 from coopqp.simulation.evaluation import metrics
 from coopqp.simulation.evaluation.figures import ramps
 from coopqp.simulation.evaluation.metrics import error_text

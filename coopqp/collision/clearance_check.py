@@ -1,19 +1,15 @@
-"""Result of a path check for distances, and the protocol of the bodies; see :mod:`coopqp.collision.path_check`."""
+"""Result of a path check for distances; see :mod:`coopqp.collision.path_check`."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 
-from coopqp.errors import InvalidInputError
-from coopqp.model.cell import RobotCell
-from coopqp.model.grasp import Grasp
 from coopqp.model.shapes import NearPair, by_depth
-from coopqp.planning.branch_checks import PathVerdict
-from coopqp.planning.joint_trajectories import CellTrajectory
+from coopqp.paths.certificate import PathVerdict
 from coopqp.shown import Brief
 from coopqp.spatial import Array
 
@@ -106,49 +102,6 @@ class ClearanceCheck(Brief):
             "distances_m": self.distances.tolist(),
             "notes": list(self.notes),
         }
-
-
-class Bodies(Protocol):
-    """Bodies that keep distances, as a check uses them: :class:`coopqp.CollisionScene`."""
-
-    @property
-    def cell(self) -> RobotCell:
-        """The arms."""
-        ...
-
-    def along(self, way: CellTrajectory, *, any_start: bool = False) -> ClearanceCheck:
-        """Check a way; with ``any_start`` first the pairs that stay too close from every start."""
-        ...
-
-    def evading(self, way: CellTrajectory) -> tuple[Array, Array] | None:
-        """Places (K,) and joint positions (K, nv) of a way on which redundant arms keep off; None if there is none."""
-        ...
-
-    def clear_choice(self, ways: Sequence[Array]) -> tuple[int, ...] | None:
-        """One way for each arm, so that all margins are kept at samples; None if there are none.
-
-        Args:
-            ways: of each arm joint positions along its ways (B, K, its joints), the best first.
-        """
-        ...
-
-    def of_cell(self, cell: RobotCell, grasp: Grasp) -> Bodies:
-        """The same bodies about other arms or another grasp."""
-        ...
-
-
-def check_scene(cell: RobotCell, scene: Bodies | None, where: str) -> None:
-    """Refuse a scene of other arms.
-
-    Raises:
-        InvalidInputError: it is of another cell, or is no scene.
-    """
-    if scene is None:
-        return
-    if not callable(getattr(scene, "along", None)):
-        raise InvalidInputError(f"a {type(scene).__name__}", where, "Give a CollisionScene.")
-    if scene.cell is not cell:
-        raise InvalidInputError("a scene of another cell", where, "Give the cell that the scene was made of.")
 
 
 def remark(notes: Sequence[str]) -> list[str]:

@@ -17,6 +17,7 @@ to Interval Analysis, 2009), with real bounds in place of interval arithmetic. I
 
 from __future__ import annotations
 
+import enum
 from dataclasses import dataclass
 from typing import Any
 
@@ -25,7 +26,7 @@ import numpy.typing as npt
 
 from coopqp.model.batch import ArmKinematics
 from coopqp.model.branches import AT_LIMIT
-from coopqp.planning.segments import Indices, Segments
+from coopqp.paths.segments import Indices, Segments
 from coopqp.spatial import Array, Flags, cross
 
 #: Rounds of the search for r, growth of r in each, and floor of |v| as a share of its largest entry.
@@ -34,6 +35,25 @@ _ROUNDS, _GROWTH, _FLOOR = 6, 1.1, 1e-3
 _EXACT, _EXACT_SHARE = 1e-11, 1e-14
 #: Ends of intervals lie in the tube within this [rad or m].
 _INSIDE = 1e-8
+
+
+class PathVerdict(enum.Enum):
+    """Verdict of :func:`coopqp.check_path`, the best first."""
+
+    CERTIFIED = "CERTIFIED"  #: proved at every point of the path
+    SAMPLED = "SAMPLED"  #: followed at samples; nothing is proved between them
+    UNDECIDED = "UNDECIDED"  #: not proved on some intervals
+    INFEASIBLE = "INFEASIBLE"  #: an arm cannot follow the path
+
+
+def worst(verdicts: list[PathVerdict]) -> PathVerdict:
+    """The worst verdict."""
+    return max(verdicts, key=list(PathVerdict).index)
+
+
+def follows(verdict: PathVerdict) -> bool:
+    """True for the verdicts on a path that is followed, with a proof or at samples."""
+    return verdict in (PathVerdict.CERTIFIED, PathVerdict.SAMPLED)
 
 
 @dataclass(frozen=True, eq=False)

@@ -15,9 +15,9 @@ import numpy.typing as npt
 
 from coopqp.model.batch import ArmKinematics
 from coopqp.model.cell import RobotCell
+from coopqp.paths.certificate import Proof, between
 from coopqp.paths.path import ObjectPath
-from coopqp.planning.certificate import Proof, between
-from coopqp.planning.segments import Indices, Segments
+from coopqp.paths.segments import Indices, Segments
 from coopqp.shown import Brief
 from coopqp.spatial import Array, as_placement
 
