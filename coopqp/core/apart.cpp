@@ -28,13 +28,13 @@ static void without_mismatch(Core *c, Twists &away) {
     c->proposal->mismatched = left * left * square > NO_MISMATCH * NO_MISMATCH;
 }
 
-/* The arm whose view of the object is furthest from another's. */
+/* The arm whose view of the object is furthest from another's; the first of those equally far. */
 static int furthest_from(const Twists &away, int arm) {
     double most = -1.0;
     int other = 0;
     for (int k = 0; k < away.cols(); k++) {
         const double distance = (away.col(k) - away.col(arm)).norm();
-        if (k != arm && distance > most) most = distance, other = k;
+        if (k != arm && !(distance <= most * ALIKE)) most = distance, other = k;
     }
     return other;
 }
