@@ -111,6 +111,8 @@ class PseudoInverseController:
         self._q = pin.neutral(cell.model)
         self._clock, self._count, self._started = 0.0, 0, False
         self._override = 1.0
+        #: The memory of what relaxes the forces between the arms; None if nothing does.
+        self.forces: Array | None = None
         self._shift, self._held = np.zeros((len(cell), 6)), np.zeros((len(cell), 6))
 
     # -- the interface for ForceController -----------------------------------------------------------------------
@@ -159,8 +161,27 @@ class PseudoInverseController:
 
         return taken
 
-    def take_minding(self, memory: Array, tell: Callable[[ControlStep], None]) -> None:
-        """None: there is no core to step with wrenches."""
+    def bind_forces(
+        self, memory: Array, *, before_forces: Callable[..., None], after_forces: Callable[..., None], **_: Any
+    ) -> Callable[..., ControlStep]:
+        """A step with wrenches, as the QP's."""
+
+        def step(q_measured: Any, dt: Any, wrenches: Any) -> ControlStep:
+            self._lock.hold()
+            try:
+                before_forces(q_measured, dt, wrenches)
+                made = self.step(q_measured, dt=dt)
+                after_forces(made)
+            finally:
+                self._lock.release()
+            return made
+
+        self.forces = memory
+        return step
+
+    def lower_rate(self, share: float) -> None:
+        """See :meth:`set_override`."""
+        self.set_override(share)
 
     def accepted_dt(self, dt: Any) -> float:
         """Length of the next step [s]: the nominal one where ``dt`` is None or no length."""

@@ -96,7 +96,9 @@ class QPController(OperatorCalls):
         self._loop.call(poll=self._before, look=self._after)
         #: The core's step.
         self._step = self._loop.step
-        self._started = self._outside = self._minded = False
+        self._started = self._outside = False
+        #: The memory of what relaxes the forces between the arms; None if nothing does.
+        self.forces: Array | None = None
         #: By how much the tools are elsewhere on the object than the grasp says (N, 6); None if they are not.
         self._shift: Array | None = None
         #: An operator's calls from another thread than the one that steps: made in the next step.
@@ -145,7 +147,7 @@ class QPController(OperatorCalls):
                 "QPController: constraints",
                 "Let the first arm of the cell hold the object at rest on it, or give no Clearance.",
             )
-        if self._shift is not None and np.any(self._shift) and not (self._minded and grasps.holding_fixed):
+        if self._shift is not None and np.any(self._shift) and (self.forces is None or not grasps.holding_fixed):
             raise InvalidInputError(
                 "its tools move on the object, and the grasps were shifted", "QPController: path", "Shift them back."
             )
@@ -240,7 +242,7 @@ class QPController(OperatorCalls):
         self._operator.begin_trail()
         if warned:
             warnings.warn("; ".join(warned), StartWarning, stacklevel=3)
-        unknown = o.supervision.stiffness is None and not self._minded and len(self.cell) > 1
+        unknown = o.supervision.stiffness is None and self.forces is None and len(self.cell) > 1
         if unknown and (commanded is not None or np.ndim(given) > 1):
             warnings.warn(
                 "a rigid grip hides an arm that stops from what is measured: the others drag it along. Tell the "
@@ -516,19 +518,16 @@ class QPController(OperatorCalls):
         taken: Callable[[], bool] = self._loop.take_shift(shift)
         return taken
 
-    def take_minding(self, memory: Array, tell: Callable[[ControlStep], None]) -> Callable[..., Any] | None:
-        """The core's function that steps with wrenches, for :class:`coopqp.ForceController`; None if Python has to.
+    def bind_forces(self, memory: Array, **calls: Callable[..., None]) -> Callable[..., ControlStep]:
+        """A step with wrenches, for :class:`coopqp.ForceController`: ``(q_measured, dt, wrenches) → ControlStep``.
 
         Args:
-            memory: numbers of ``Minding`` in ``minding.h``.
-            tell: puts words into a step that forces have something to say about.
-
-        Returns:
-            ``(memory, q_measured, dt, wrenches) → ControlStep``, None where the answer is left open; False where Python
-            has to take part first.
+            memory: numbers of ``Minding`` in ``minding.h``, and the vectors behind them.
+            calls: ``before_forces`` of the same arguments, and ``after_forces`` of the step, where the core does not
+                let the grasps give way itself; ``tell`` of a step that forces have something to say of.
         """
-        self._minded = True
-        return self._loop.take_minding(memory, tell)
+        self.forces = memory
+        return self._loop.bind_forces(memory, **calls)
 
     def accepted_dt(self, dt: Any) -> float:
         """Length of a step that is asked for [s]: the nominal one where none is, or it is refused."""
@@ -591,7 +590,7 @@ class QPController(OperatorCalls):
         if self._waiting:
             operator.looked = False
             self._catch_up(in_step=True)
-        if operator.gear is not None and not self._minded:
+        if operator.gear is not None and self.forces is None:
             operator.override = operator.override if (share := operator.geared()) is None else share
         operator.before(self.accepted_dt(dt))
 

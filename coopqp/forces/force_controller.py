@@ -118,9 +118,15 @@ class ForceController(OperatorCalls):
             self._maps.check()
         check_squeeze(self.cell, self.grasp, self.path, options)
         self._shifted = controller.take_shift(self._relaxation.shift)
-        #: The core's own step with wrenches, where it has one.
-        self._minded = controller.take_minding(self._memory, self._tell)
+        self._bind()
         self._begin()
+
+    @alone
+    def _bind(self) -> None:
+        """Let the controller step with these wrenches: another may have stepped it."""
+        self._step = self.controller.bind_forces(
+            self._memory, before_forces=self._before, after_forces=self._after, tell=self._tell
+        )
 
     def _shares_of(self, holds: Holds) -> Array:
         """Shares in the object's pose (N, 6) while some arms hold it (N,)."""
@@ -307,21 +313,14 @@ class ForceController(OperatorCalls):
             InvalidInputError: before the first :meth:`reset`, or wrenches of another shape; nothing is then changed.
             BusyError: another thread is in a call of this controller; nothing was changed.
         """
-        minded = self._minded
         if self._maps is not None and wrenches is not None:
             wrenches = self._maps.wrenches(self._shaped(wrenches))
-        if minded is not None:
-            if wrenches is not None:
-                wrenches = self._shaped(wrenches)
-            made: Any = minded(self._memory, q_measured, dt, wrenches)
-            if made is not False:
-                step: ControlStep = made
-                return step
-        return self._slow(q_measured, wrenches, dt)
+        if self.controller.forces is not self._memory:
+            self._bind()
+        return self._step(q_measured, dt, wrenches)
 
-    @alone
-    def _slow(self, q_measured: ArrayLike | None, wrenches: ArrayLike | None, dt: float | None) -> ControlStep:
-        """A step in which Python takes part, or of a controller without the core's; the same in the same order."""
+    def _before(self, q_measured: ArrayLike | None, dt: float | None, wrenches: ArrayLike | None) -> None:
+        """Take wrenches before a step, and let the grasps give way, where the core does not."""
         w, length = self._taken(wrenches), self.controller.accepted_dt(dt)
         relaxation, stage = self._relaxation, self._stage
         gives = relaxation.gives
@@ -341,17 +340,11 @@ class ForceController(OperatorCalls):
         share = relaxation.allow(length)
         if self._leaves is not None and self._leaves[1] < 2.0 * length:
             share = relaxation.allow_release(self._leaves[0])
-        self._minded = self.controller.take_minding(self._memory, self._tell)  # another may have stepped it
         if share != self.controller.override:
-            if isinstance(self.controller, QPController):
-                self.controller.lower_rate(share)
-            else:
-                self.controller.set_override(share)
-        step = self._made(self.controller.step(q_measured, dt=dt))
-        self._look_at_grips()
-        return step
+            self.controller.lower_rate(share)
 
-    def _made(self, step: ControlStep) -> ControlStep:
+    def _after(self, step: ControlStep) -> None:
+        """Note what a step asked the object and the arms for, where the core does not."""
         m = self._scalars
         self._relaxation.refer(self.controller.reference, step.dt)
         m.last_rate, m.stepped = step.rate, 1.0
@@ -359,7 +352,7 @@ class ForceController(OperatorCalls):
         m.last_speed = np.abs(step.velocity).max()
         if m.why != NOTHING_MORE:
             self._tell(step)
-        return step
+        self._look_at_grips()
 
     def _look_at_grips(self) -> None:
         """See who holds the object now and who bears its load, and when that changes next."""

@@ -84,7 +84,7 @@ class CoreLoop:
         self._shift: Array | None = None
         self._motion: GraspMotion | None = None
         self._shifted = False  # whether the core has shifts of the path
-        self._minding: Any = None
+        self._forces: Any = None
         numbers = memory.options
         numbers.own_solver = self.solver.name == "ldp"
         self._report: SolverReport | None = None
@@ -191,8 +191,8 @@ class CoreLoop:
     def _take_motion(self) -> None:
         """Hand the core how the tools move on the object along the path, and who holds it when."""
         at, motion, cell = self.at, self._guarded.grasps, self.cell
-        if self._minding is not None:
-            self._minding.look_at = -math.inf
+        if self._forces is not None:
+            self._forces.look_at = -math.inf
         had = self._motion is not None
         self._motion = motion
         if motion is None:
@@ -222,14 +222,14 @@ class CoreLoop:
         """Where the last step has asked for the object."""
         return _pose_of(self.at["pose"])
 
-    def take_minding(self, memory: Array, tell: Callable[[ControlStep], None]) -> Callable[..., Any] | None:
-        """The core's step with wrenches: see :meth:`coopqp.QPController.take_minding`."""
+    def bind_forces(self, memory: Array, **calls: Callable[..., None]) -> Callable[..., ControlStep]:
+        """The core's step with wrenches: see :meth:`coopqp.QPController.bind_forces`."""
         if len(self.cell) > MOST_MINDING:
-            return None
-        self._core.bind(tell=tell)
-        self._core.bind_minding(memory)
-        self._minding = minding_scalars(memory)
-        step: Callable[..., Any] = self._core.step_minding
+            raise InvalidInputError(f"{len(self.cell)} arms", "ForceController", f"Give at most {MOST_MINDING}.")
+        self._core.bind_forces(memory)
+        self._core.bind(**calls)
+        self._forces = minding_scalars(memory)
+        step: Callable[..., ControlStep] = self._core.step_with_wrenches
         return step
 
     def start(self, q: Array) -> None:

@@ -19,13 +19,14 @@ enum Held {
     POLL, LOOK,                                                 /* what is due before a step (dt), and at one that is made */
     SAY,                                                        /* puts words into a step that numbers do not describe: those in */
     SAID,
+    BEFORE_FORCES, AFTER_FORCES,                                /* where the relaxation of forces needs Python */
     TELL,                                                       /* of a step that forces say something of */
     STEP_TYPE, CONTEXT, STATUS_NAMES,
     OBJECTS
 };
 static const char *const HELD[OBJECTS] = {
     "own_path", "bound_knot", "stopping", "evade", "solve", "survey_ahead", "clear", "further_rows", "tightened", "survey_here",
-    "attach", "ask_for_rows", "tighten", "as_measured", "poll", "look", "say", "said", "tell", "step_type", "context",
+    "attach", "ask_for_rows", "tighten", "as_measured", "poll", "look", "say", "said", "before_forces", "after_forces", "tell", "step_type", "context",
     "status_names"};
 
 struct Field {
@@ -45,7 +46,6 @@ struct BoundCore : Core {
     In path_array;               /* numbers of the path; or of the way to a new target: */
     InOrNone shift_array;        /* numbers of the path's shifts */
     Out way_array, minding_array; /* relaxation of forces, also the core's */
-    nb::object minding_given;    /* the object of `minding_array` */
     nb::object objects[OBJECTS];
     unsigned long busy = 0;      /* the thread that works here; 0 for none */
     unsigned long stepper = 0;   /* the thread that made the last step; 0 for none */
@@ -586,26 +586,29 @@ static void check_minding(const Out &memory, long arms) {
     check_fit(memory.size == minding_size(arms));
 }
 
-/* bind_minding(memory): for step_minding. */
-static void bind_minding(BoundCore &self, nb::object memory) {
+/* bind_forces(memory): for step_with_wrenches. */
+static void bind_forces(BoundCore &self, const nb::object &memory) {
     Out forces;
     if (!forces.take(memory.ptr())) throw nb::type_error("expected an array of float64");
     check_minding(forces, self.arms);
-    self.minding_array = std::move(forces), self.minding_given = std::move(memory);
+    self.minding_array = std::move(forces);
     self.minding = reinterpret_cast<Minding *>(self.minding_array.data);
 }
 
-/* step_minding(memory, q, dt, wrenches): a step of a controller that minds forces: the grasps move, the object is as fast
- * as forces let it be. False where Python has to take part first, as it does before the arms relax, and where compliances
- * have to be looked at, or arms let go or attach soon: nothing has changed then. */
-static nb::object step_minding(BoundCore &self, nb::handle memory, const Maybe &q, const Maybe &dt, const InOrNone &wrenches) {
+/* step_with_wrenches(q, dt, wrenches), any objects: a step whose grasps give way to forces, and whose object is as fast as they let
+ * it be. Python takes part before the arms relax, where compliances have to be looked at, where arms let go or attach soon, where
+ * an operator's change is due, and where wrenches are no array (arms, 6). */
+static nb::object step_with_wrenches(BoundCore &self, const Maybe &q, const Maybe &dt, const Maybe &wrenches) {
     Stepping here(self);
     const Minding *m = self.minding;
-    if (self.polled || !memory.is(self.minding_given) || !gives_way(m) || m->age >= LOOK_EVERY || self.loop->clock >= m->look_at)
-        return nb::bool_(false);
-    const double *felt = wrenches_of(wrenches, self.arms);
-    self.run<&Arithmetic::mind>(felt, length_of(dt));
+    InOrNone felt;
+    check_fit(m, "no forces are bound");
+    const bool fits = !wrenches || (felt.take(wrenches->ptr()) && felt.size == 6 * self.arms && felt.length(0) == self.arms);
+    const bool alone = fits && !self.polled && gives_way(m) && m->age < LOOK_EVERY && self.loop->clock < m->look_at;
+    if (alone) self.run<&Arithmetic::mind>(felt.data, length_of(dt));
+    else self.objects[BEFORE_FORCES](q, dt, wrenches);
     nb::object made = make_step(self, q, dt);
+    if (!alone) return self.objects[AFTER_FORCES](made), made;
     self.run<&Arithmetic::minded>();
     if (m->why != NOTHING_MORE) self.objects[TELL](made);
     return made;
@@ -674,8 +677,8 @@ void bind_step(nb::module_ &m) {
         .def("go_over", go_over)
         .def("linearise", linearise)
         .def("shift_grasp", shift_grasp)
-        .def("bind_minding", bind_minding)
-        .def("step_minding", step_minding);
+        .def("bind_forces", bind_forces)
+        .def("step_with_wrenches", step_with_wrenches);
     nb::class_<LeastDistance>(m, "LeastDistance", "A least-distance program over memory that Python owns.")
         .def("__init__", build_program)
         .def("solve", &LeastDistance::solve);
