@@ -7,9 +7,9 @@ Each package is one part of the flow. It imports from itself and from those abov
 * ``paths``: where the object should be, and when;
 * ``solvers``: QP solvers behind one interface;
 * ``constraints``: further constraints of a user, before the motion and in it;
+* ``collision``: shapes, pairs and distances, and the constraint that keeps them;
 * ``planning``: before the motion: feasibility, starts, timing;
 * ``control``: one step, from the measured configuration to the command, and the look-ahead;
-* ``collision``: shapes, pairs and distances, and the constraint that keeps them;
 * ``baselines``: controllers to compare with: the paper's, and one for each arm alone;
 * ``forces``: the wrenches between the arms and the object;
 * ``simulation``: plants, the loop, recordings and their evaluation;
