@@ -115,6 +115,7 @@ def test_a_public_name_is_there_or_says_what_replaces_it(package: str) -> None:
         "coopqp.errors": ["KernelWarning"],
         "coopqp.files": ["RenamedKeyWarning"],
         "coopqp.native": ["available_kernels", "compiled", "kernel_text", "warn_once"],
+        "coopqp.planning": ["Bodies", "SearchedBodies"],
         "coopqp.solvers": ["Workspace"],
     }.get(package, [])
 
