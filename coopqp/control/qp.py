@@ -38,6 +38,7 @@ from coopqp.paths.moving_grasps import HOLD_ON, grasp_at, refuse_motion
 from coopqp.paths.path import HoldPath, ObjectPath
 from coopqp.paths.servo import ServoPath
 from coopqp.spatial import Array, Placement, as_placement
+from coopqp.version import __version__
 
 
 @final
@@ -619,10 +620,11 @@ class QPController(OperatorCalls):
         state = {name: getattr(self, name) for name in names}
         own = {"started": self._started, "outside": self._outside, "operator": self._operator.memory()}
         own["shift"] = None if self._shift is None else self._shift.copy()
-        return state | own | {"memory": self._loop.memory()}
+        return state | own | {"memory": self._loop.memory(), "version": __version__}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
-        state.pop("kernel", None)  # of version 0.2, whose memory is another one: that is what the error says
+        if state.pop("version", "0.2.0") != __version__:  # also where it has as many bytes
+            raise InvalidInputError("its memory is of another version", "QPController", "Build and reset a new one.")
         names = ("started", "outside", "operator", "shift", "memory")
         started, outside, operator, shift, memory = (state.pop(name) for name in names)
         # the path may fail for a while: that is no reason not to be copied

@@ -268,7 +268,7 @@ def test_a_debugger_changes_no_step() -> None:
 
 def test_a_copy_that_version_0_2_made_is_refused() -> None:
     state = built(paper_lift(), dt=DT).__getstate__()
-    state |= {"kernel": "compiled", "memory": state["memory"][:-1]}
+    del state["version"]  # its memory may be as long as ours
     other = object.__new__(QPController)
     with pytest.raises(InvalidInputError, match=r"its memory is of another version\. Build and reset a new one"):
         other.__setstate__(state)

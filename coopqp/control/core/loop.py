@@ -287,15 +287,8 @@ class CoreLoop:
         return self.at["state"].copy()
 
     def restore(self, memory: Any) -> None:
-        """Go on from what :meth:`memory` returned.
-
-        Raises:
-            InvalidInputError: it comes from another version.
-        """
-        state = self.at["state"]
-        if memory.shape != state.shape:
-            raise InvalidInputError("its memory is of another version", "QPController", "Build and reset a new one.")
-        state[:] = memory
+        """Go on from what :meth:`memory` of the same version returned."""
+        self.at["state"][:] = memory
         if self._motion is not None:
             holds = self._motion.holds(self.clock)
             self.at["shares"][:], self.at["holding"][:] = self._shares_of(holds), holds
