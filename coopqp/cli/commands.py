@@ -78,9 +78,8 @@ def _add_run(commands: Any) -> None:
 def _run_run(arguments: argparse.Namespace) -> int:
     from coopqp.cli import runs
     from coopqp.scenarios import SCENARIOS
-    from coopqp.simulation.evaluation.assessment import evaluate, why
-    from coopqp.simulation.evaluation.figures import run_figures
-    from coopqp.simulation.evaluation.readings import read_run
+    from coopqp.simulation.evaluation.assessment import evaluate, run_figures, why
+    from coopqp.simulation.evaluation.metrics import read_run
     from coopqp.simulation.events import differs_from, events_of, operating
     from coopqp.simulation.recording.recording import Recording
 

@@ -18,8 +18,7 @@ from coopqp.errors import InvalidInputError, UnknownNameError
 from coopqp.output import json_bytes, write_files
 from coopqp.scenarios import Scenario
 from coopqp.simulation.evaluation import metrics
-from coopqp.simulation.evaluation.assessment import Tolerances
-from coopqp.simulation.evaluation.figures import worst_status
+from coopqp.simulation.evaluation.assessment import Tolerances, worst_status
 from coopqp.simulation.recording.recording import Recording
 from coopqp.simulation.simulate import simulate
 from coopqp.solvers.choice import default_solver, make_solver

@@ -85,7 +85,7 @@ def run_jog(arguments: argparse.Namespace) -> int:
 def _judged(run: Recording, arguments: argparse.Namespace) -> int:
     """Print what happened and whether limits, chain and path were kept, and write the recording."""
     from coopqp.simulation.evaluation.assessment import ARRIVALS, evaluate
-    from coopqp.simulation.evaluation.readings import read_run
+    from coopqp.simulation.evaluation.metrics import read_run
 
     if not arguments.quiet:
         for note in run.notes:

@@ -305,7 +305,7 @@ def save_recording(recording: Recording, file: Path) -> Path:
 
 
 def _plots(recording: Recording, folder: Path, say: Callable[[str], None]) -> list[Path]:
-    from coopqp.simulation.evaluation.readings import read_run
+    from coopqp.simulation.evaluation.metrics import read_run
     from coopqp.simulation.evaluation.wrenches import read_loads
     from coopqp.visualization import plots
     from coopqp.visualization.joints import joint_figure

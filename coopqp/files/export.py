@@ -22,7 +22,7 @@ from coopqp.lazy import needed
 from coopqp.model.cell import RobotCell, slides
 from coopqp.model.limits import BindingLimit
 from coopqp.output import check_bag, folder_of, temporary_name, whole_file
-from coopqp.simulation.evaluation.readings import check_recording, read_part
+from coopqp.simulation.evaluation.metrics import check_recording, read_part
 from coopqp.simulation.recording.recording import Recording
 from coopqp.spatial import Array
 

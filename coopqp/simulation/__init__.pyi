@@ -3,24 +3,23 @@ from .evaluation.assessment import Finding as Finding, Tolerances as Tolerances,
 from .evaluation.calibration_runs import calibrate_runs as calibrate_runs
 from .evaluation.closeness import Closeness as Closeness, Closest as Closest
 from .evaluation.metrics import (
+    Readings as Readings,
     chain_error as chain_error,
     limit_excess as limit_excess,
     object_error as object_error,
     path_error as path_error,
+    read_run as read_run,
     relative_orientation_error as relative_orientation_error,
     relative_positioning_error as relative_positioning_error,
     tool_placements as tool_placements,
 )
-from .evaluation.monitor import Monitor as Monitor, check_run as check_run
-from .evaluation.monitored import Monitored as Monitored
-from .evaluation.readings import Readings as Readings, read_run as read_run
+from .evaluation.monitor import Monitor as Monitor, Monitored as Monitored, check_run as check_run
 from .evaluation.violations import (
     Verdict as Verdict,
     Violation as Violation,
     ViolationKind as ViolationKind,
 )
-from .evaluation.wrench_bounds import WrenchBounds as WrenchBounds
-from .evaluation.wrenches import RunLoads as RunLoads, read_loads as read_loads
+from .evaluation.wrenches import RunLoads as RunLoads, WrenchBounds as WrenchBounds, read_loads as read_loads
 from .events import (
     Event as Event,
     differs_from as differs_from,

@@ -22,10 +22,9 @@ from coopqp.model.cell import slides
 from coopqp.model.grasp import Grasp
 from coopqp.scenarios import SCENARIOS
 from coopqp.simulation.evaluation import metrics
-from coopqp.simulation.evaluation.assessment import Tolerances, evaluate, why
+from coopqp.simulation.evaluation.assessment import Tolerances, evaluate, why, worst_status
 from coopqp.simulation.evaluation.closeness import with_clearance
-from coopqp.simulation.evaluation.figures import worst_status
-from coopqp.simulation.evaluation.readings import Readings, read_run
+from coopqp.simulation.evaluation.metrics import Readings, read_run
 from coopqp.simulation.plants.disturbances import Disturbances
 from coopqp.simulation.plants.kinematic import DisturbedPlant
 from coopqp.simulation.recording.recording import Recording

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 from coopqp.control.interface import Status
 from coopqp.model.limits import BindingLimit, LimitKind
-from coopqp.simulation.evaluation.figures import ramps
+from coopqp.simulation.evaluation.assessment import ramps
 from coopqp.simulation.recording.recording import Recording
 
 #: What a joint, an arm or the path does where a limit of a kind binds; {} is its name.

@@ -22,7 +22,7 @@ from coopqp.errors import printable
 from coopqp.model.cell import RobotCell
 from coopqp.paths.moving_grasps import grasp_at
 from coopqp.paths.scenario import Scenario
-from coopqp.simulation.evaluation.figures import worst_status
+from coopqp.simulation.evaluation.assessment import worst_status
 from coopqp.simulation.recording.recording import Recording
 from coopqp.simulation.recording.scene import read_object
 from coopqp.spatial import Array

@@ -12,9 +12,8 @@ from typing import TYPE_CHECKING, Any
 from coopqp.checks import require
 from coopqp.model.cell import RobotCell
 from coopqp.output import check_file, write_files
-from coopqp.simulation.evaluation.assessment import Finding, Tolerances, evaluate, why
-from coopqp.simulation.evaluation.figures import run_figures
-from coopqp.simulation.evaluation.readings import Readings, read_run
+from coopqp.simulation.evaluation.assessment import Finding, Tolerances, evaluate, run_figures, why
+from coopqp.simulation.evaluation.metrics import Readings, read_run
 from coopqp.simulation.evaluation.wrenches import read_loads
 from coopqp.simulation.recording.recording import Recording
 from coopqp.simulation.recording.scene import named_meshes, read_object

@@ -14,7 +14,7 @@ import numpy as np
 
 from coopqp.control.interface import Status
 from coopqp.model.cell import RobotCell
-from coopqp.simulation.evaluation.readings import Readings
+from coopqp.simulation.evaluation.metrics import Readings
 from coopqp.simulation.evaluation.wrenches import RunLoads, read_loads
 from coopqp.simulation.recording.recording import Recording
 from coopqp.simulation.recording.scene import SceneError, reading

@@ -15,7 +15,7 @@ from coopqp.checks import require
 from coopqp.model.cell import RobotCell
 from coopqp.model.limits import BindingLimit, LimitKind
 from coopqp.simulation.evaluation import metrics
-from coopqp.simulation.evaluation.readings import Readings, read_run
+from coopqp.simulation.evaluation.metrics import Readings, read_run
 from coopqp.simulation.recording.recording import Recording
 from coopqp.simulation.recording.scene import read_object, read_path
 from coopqp.spatial import Array

@@ -11,7 +11,7 @@ import numpy as np
 from coopqp.control.interface import Status
 from coopqp.model.limits import BindingLimit, LimitKind
 from coopqp.simulation.evaluation.assessment import Tolerances
-from coopqp.simulation.evaluation.readings import Readings
+from coopqp.simulation.evaluation.metrics import Readings
 from coopqp.simulation.recording.recording import LONGEST, Recording
 from coopqp.simulation.recording.scene import SceneError, reading
 from coopqp.visualization.style import (

@@ -21,7 +21,7 @@ from coopqp.checks import as_scalar
 from coopqp.errors import CoopqpError, InvalidInputError
 from coopqp.lazy import needed
 from coopqp.output import check_file, write_files
-from coopqp.simulation.evaluation.figures import worst_status
+from coopqp.simulation.evaluation.assessment import worst_status
 from coopqp.simulation.recording.recording import Recording
 from coopqp.visualization.guarded import OwnScript, guarded_servers
 from coopqp.visualization.panel_page import (

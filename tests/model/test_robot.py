@@ -19,8 +19,7 @@ from coopqp.model import CellState
 from coopqp.model.chain import Chain, moving_columns, parts
 from coopqp.scenarios import robot_path
 from coopqp.scenarios.robots import SEVERAL_ARMS
-from coopqp.simulation.evaluation.metrics import tools_and_jacobians
-from coopqp.simulation.evaluation.readings import _sigma_min
+from coopqp.simulation.evaluation.metrics import _sigma_min, tools_and_jacobians
 from coopqp.simulation.recording.scene import describe_cell, read_cell
 
 TORSOS: tuple[tuple[tuple[str, str], ...], ...] = (

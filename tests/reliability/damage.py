@@ -27,9 +27,8 @@ from coopqp.files.cellfile.text import read_tables
 from coopqp.files.export import csv_parts
 from coopqp.scenarios import paper_lift
 from coopqp.simulation import describe_object, evaluate, read_run
-from coopqp.simulation.evaluation.assessment import why
+from coopqp.simulation.evaluation.assessment import run_figures, why
 from coopqp.simulation.evaluation.closeness import default_scene, with_clearance
-from coopqp.simulation.evaluation.figures import run_figures
 from coopqp.studies import Study, load_place_study, load_study
 from coopqp.studies.journal import Journal
 from coopqp.studies.row import RowTask

@@ -11,7 +11,7 @@ import pytest
 
 from coopqp import Recording, Status
 from coopqp.simulation import differs_from
-from coopqp.simulation.evaluation.figures import ramps, worst_status
+from coopqp.simulation.evaluation.assessment import ramps, worst_status
 from coopqp.spatial import Array
 
 STEPS = 10

@@ -15,7 +15,7 @@ from coopqp.cli.main import main
 from coopqp.errors import StartWarning
 from coopqp.scenarios import LOADED, Scenario, paper_lift
 from coopqp.simulation import KinematicPlant, PhysicsPlant, ViolationKind, check_run, evaluate, read_run, run_in_engine
-from coopqp.simulation.evaluation.figures import run_figures
+from coopqp.simulation.evaluation.assessment import run_figures
 
 #: The encoders of an arm whose base is off tell another place than that of its grasp.
 OFF = {"base_off_lift": ["arm slave_2 started off its grasp"]}

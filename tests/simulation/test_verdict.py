@@ -12,8 +12,7 @@ import pytest
 from coopqp import Arm, InvalidInputError, Recording, RobotCell, Status
 from coopqp.scenarios import Scenario, robot_path
 from coopqp.simulation import RecordingError, ViolationKind, check_run, evaluate, read_run
-from coopqp.simulation.evaluation.assessment import Finding
-from coopqp.simulation.evaluation.figures import run_figures
+from coopqp.simulation.evaluation.assessment import Finding, run_figures
 from coopqp.spatial import Array
 
 STEPS, DT = 20, 0.1
@@ -88,6 +87,16 @@ def test_the_joint_with_the_largest_torque_is_named_since_it_was_too_much(paper:
     just = loaded(paper, {"torque_limits": limits}, torques=np.clip(torques, -20.0, 20.0))
     assert finding(paper, just, CARRIED).answer == "at most 100.0 % of a torque (master/joint_4)"
     assert check_run(just, paper.cell).ok
+
+
+def test_loads_that_are_no_numbers_are_not_kept(paper: Scenario) -> None:
+    load = {"torque_limits": [50.0] * 18, "internal_force": 10.0}
+    heavy = loaded(paper, load, torques=changed((STEPS, 18), {(4, 7): math.nan}))
+    assert finding(paper, heavy, CARRIED).cause == "slave_1/joint_2: torque, since 0.500 s"
+    lost = loaded(paper, load, wrenches=changed((STEPS, 3, 6), {(6, 0, 2): math.nan}))
+    assert finding(paper, lost, SQUEEZED).cause.endswith("internal force, since 0.700 s")
+    for run, kind in ((heavy, ViolationKind.TORQUE), (lost, ViolationKind.SQUEEZE)):
+        assert set(check_run(run, paper.cell).counts) == {kind}
 
 
 def pushed(task: Scenario, newtons: dict[int, float]) -> Array:
@@ -449,3 +458,12 @@ def test_the_arms_that_part_most_are_named_since_they_do(paper: Scenario) -> Non
     (asked,) = [f for f in wide if f.question == ON_PATH]
     assert asked.holds
     assert asked.answer.endswith("(asked: 5 mm, 1°)")
+
+
+def test_arms_are_named_by_the_grasps_that_have_given_way(paper: Scenario) -> None:
+    """The arms rest, and the grasps of two are recorded as moved against each other: those two are apart."""
+    shift = np.zeros((STEPS, 3, 6))
+    shift[7:, 1, 0], shift[7:, 2, 0] = 2e-3, -1.5e-3
+    run = at_rest(paper, shift=shift)
+    assert finding(paper, run, AGREED).cause == "arms slave_1 and slave_2, beyond the tolerance since 0.800 s"
+    assert finding(paper, run, ON_PATH).cause == "the object at arm slave_1, beyond the tolerance since 0.800 s"

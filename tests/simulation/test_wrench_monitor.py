@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
 
@@ -25,7 +26,6 @@ from coopqp.simulation import (
     WrenchBounds,
     check_run,
 )
-from coopqp.simulation.evaluation.wrench_bounds import excesses
 from coopqp.spatial import Array
 
 
@@ -34,18 +34,39 @@ def task() -> Scenario:
     return paper_lift(time_law="quintic")
 
 
+Excesses = Callable[[WrenchBounds, Array], list[tuple[ViolationKind, int, float]]]
+
+
+@pytest.fixture(scope="module")
+def excesses(task: Scenario) -> Excesses:
+    """What a monitor finds in wrenches while the object moves: the kind, the number of the arm, and the amount."""
+    controller = QPController(task.cell, task.grasp, task.path, dt=task.dt)
+    controller.reset(task.q_start)
+    first, second = controller.step(), controller.step()
+
+    def found(bounds: WrenchBounds, wrenches: Array) -> list[tuple[ViolationKind, int, float]]:
+        monitor = Monitor(task.cell, task.grasp, kinematics=False, wrenches=bounds)
+        assert not monitor.observe(first)
+        told = monitor.observe(second, wrenches=wrenches)
+        return [(v.kind, task.cell.arm_names.index(v.arm), v.amount) for v in told]
+
+    return found
+
+
 @given(seed=st.integers(0, 10**6), size=st.sampled_from([0.1, 1.0, 30.0]), radius=st.sampled_from([0.0, 0.05]))
-def test_what_is_too_much_is_what_the_reports_say(task: Scenario, seed: int, size: float, radius: float) -> None:
+def test_what_is_too_much_is_what_the_reports_say(
+    task: Scenario, excesses: Excesses, seed: int, size: float, radius: float
+) -> None:
     rng = np.random.default_rng(seed)
     w = size * rng.normal(size=(3, 6))
     normal = rng.normal(size=3)
     palms = (Grip(kind="palm", friction=0.6, radius=radius, normal=normal),) * 3
     w[:, :3] += rng.choice([0.0, 20.0]) * palms[0].normal
-    found = excesses(WrenchBounds(internal_force=10.0, palms=palms), task.grasp, w)
+    found = excesses(WrenchBounds(internal_force=10.0, palms=palms), w)
     sizes = np.linalg.norm(internal_wrenches(w, task.grasp)[:, :3], axis=1)
-    squeezed = {e.arm: e.amount for e in found if e.kind is ViolationKind.SQUEEZE}
+    squeezed = {arm: amount for kind, arm, amount in found if kind is ViolationKind.SQUEEZE}
     assert squeezed == pytest.approx({k: s - 10.0 for k, s in enumerate(sizes) if s > 10.0})
-    slips = {e.arm: e.amount for e in found if e.kind is ViolationKind.FRICTION}
+    slips = {arm: amount for kind, arm, amount in found if kind is ViolationKind.FRICTION}
     assert slips == pytest.approx({k: use - 1.0 for k, use in enumerate(palm_use(palms, w)) if use > 1.0})
 
 
@@ -71,13 +92,11 @@ def test_wrenches_count_while_the_object_moves_and_arms_are_named(task: Scenario
     assert dict(monitor.verdict().counts) == {ViolationKind.SQUEEZE: 1, ViolationKind.FORM: 1}
 
 
-def test_palms_are_judged_alone_and_bad_bounds_refused(task: Scenario) -> None:
+def test_palms_are_judged_alone_and_bad_bounds_refused(task: Scenario, excesses: Excesses) -> None:
     palms = (Grip(kind="palm", friction=0.5),) * 3
     w = np.zeros((3, 6))
     w[:, 2], w[2, 0], w[0, :] = 100.0, 60.0, np.nan
-    assert [(e.kind, e.arm) for e in excesses(WrenchBounds(palms=palms), task.grasp, w)] == [
-        (ViolationKind.FRICTION, 2)
-    ]
+    assert [found[:2] for found in excesses(WrenchBounds(palms=palms), w)] == [(ViolationKind.FRICTION, 2)]
     for bad in ({"internal_force": 0.0}, {"palms": (Grip(),) * 3}, {"palms": palms[:2]}):
         with pytest.raises(InvalidInputError):
             Monitor(task.cell, task.grasp, wrenches=bad)
@@ -96,7 +115,7 @@ def test_shifts_of_another_shape_are_refused_and_nothing_is_judged(task: Scenari
 
 
 @pytest.mark.filterwarnings("ignore::coopqp.errors.StartWarning")
-def test_a_controller_that_minds_wrenches_is_judged_as_its_recording_is(task: Scenario) -> None:
+def test_a_controller_that_minds_wrenches_is_judged_as_its_recording_is(task: Scenario, excesses: Excesses) -> None:
     """A base off by 1 mm in the engine: grasps give way, and that is no parted chain; a tighter bound names the arm."""
     axis = np.ones(3) / np.sqrt(3.0)
     off = pin.SE3(pin.exp3(np.deg2rad(0.1) * axis), 1e-3 * axis)
@@ -120,7 +139,7 @@ def test_a_controller_that_minds_wrenches_is_judged_as_its_recording_is(task: Sc
     assert np.abs(inner.shift).max() > 5e-4
     assert np.isfinite(seen).all()
     strict = WrenchBounds(internal_force=0.5)
-    named = {e.arm for w in seen[-60:] for e in excesses(strict, task.grasp, w)}
+    named = {arm for w in seen[-60:] for _, arm, _ in excesses(strict, w)}
     assert named, "some force is left"
 
 

@@ -268,7 +268,7 @@ def _texts(figure: Any) -> str:
 def test_names_are_text_and_no_formulas(lift: Scenario, one: Recording) -> None:
     from coopqp.forces import LoadShare, load_use
     from coopqp.planning import Payload
-    from coopqp.simulation.evaluation.readings import read_run
+    from coopqp.simulation.evaluation.metrics import read_run
     from coopqp.visualization.calibration import calibration_figure
     from coopqp.visualization.loads import load_figure
     from coopqp.visualization.timeline import timeline_figure

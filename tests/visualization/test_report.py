@@ -26,7 +26,7 @@ from coopqp import (
 from coopqp.errors import MissingExtraError, OutputError
 from coopqp.scenarios import Scenario
 from coopqp.simulation import RecordingError, SceneError, Tolerances, describe_object, evaluate, read_run
-from coopqp.simulation.evaluation.figures import run_figures, worst_status
+from coopqp.simulation.evaluation.assessment import run_figures, worst_status
 from coopqp.visualization import write_report
 from coopqp.visualization.report import report_html
 from coopqp.visualization.timeline import bound_limits, timeline_figure

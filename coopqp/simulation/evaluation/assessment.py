@@ -1,26 +1,23 @@
-"""Verdict on a run, from its recording only: on the end, limits, grasp, path, distances and loads."""
+"""Verdict on a run, from its recording only: on the end, limits, grasp, path, distances and loads; its key figures."""
 
 from __future__ import annotations
 
-import functools
 import math
-from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, fields
+from collections import Counter
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from typing import Annotated, Any
 
 import numpy as np
-import numpy.typing as npt
-import pinocchio as pin
 
 from coopqp.checks import Doc, as_options, documented, keep_scalars
 from coopqp.collision.clearance_check import remark
 from coopqp.collision.pairs import pairs_said
 from coopqp.control.interface import Status
 from coopqp.model.cell import RobotCell, slides, standing
+from coopqp.model.limits import LimitKind
 from coopqp.simulation.evaluation import metrics
-from coopqp.simulation.evaluation.figures import ramps
-from coopqp.simulation.evaluation.metrics import error_text
-from coopqp.simulation.evaluation.readings import Readings
+from coopqp.simulation.evaluation.metrics import Readings, error_text
 from coopqp.simulation.evaluation.wrenches import read_loads
 from coopqp.simulation.recording.recording import Recording, RecordingError
 from coopqp.spatial import Array
@@ -31,8 +28,6 @@ POSITION_ROUNDING, RATE_ROUNDING = 1e-6, 1e-6
 MARGIN_ROUNDING = 1e-6
 #: Largest number of limits in a cause.
 MAX_BLAMED = 3
-
-
 #: A clock this close to the end of a phase belongs to it [s].
 AT_PHASE_END = 1e-9
 
@@ -59,11 +54,11 @@ class Tolerances:
         """
         settings = recording.metadata.get("settings")
         given = settings.get("verdict") if isinstance(settings, Mapping) else None
-        if given is None:
-            return Tolerances()
-        known = {field.name for field in fields(Tolerances)}
         try:
-            return Tolerances(**{name: value for name, value in dict(given).items() if name in known})
+            known = {
+                name: value for name, value in dict(given or ()).items() if name in Tolerances.__dataclass_fields__
+            }
+            return Tolerances(**known)
         except (TypeError, ValueError, OverflowError) as error:
             raise RecordingError(f"'verdict' in the recording's settings is damaged ({error}).") from error
 
@@ -107,22 +102,8 @@ def evaluate(
     return (
         _finished(recording),
         *_phases(recording),
-        _positions(cell, recording),
-        _rates(cell, recording),
-        _held(
-            "Do the arms agree on where the object is?",
-            recording,
-            (readings.chain_mm, readings.chain_deg),
-            (t.chain_mm, t.chain_deg),
-            lambda i: _parted(cell, recording, i),
-        ),
-        _held(
-            "Is the object on its path?",
-            recording,
-            (readings.object_mm, readings.object_deg),
-            (t.object_mm, t.object_deg),
-            lambda i: _strayed(cell, recording, i),
-        ),
+        *_joints(cell, recording),
+        *_object(cell, recording, readings, t),
         *_apart(recording),
         *_carried_load(cell, recording),
     )
@@ -151,16 +132,12 @@ def _phases(recording: Recording) -> tuple[Finding, ...]:
     return (Finding(_ENDED, bool(recording.finished), "; ".join(texts)),)
 
 
-_STOPPED = (Status.BLOCKED, Status.HOLDING, Status.FAULT)
-
-
 def _finished(recording: Recording) -> Finding:
-    question = _ARRIVED
     end = float(recording.metadata.get("duration", math.nan))
     took = f"{recording.time[-1]:.4g} s" + (f" for a path of {end:.4g} s" if math.isfinite(end) else "")
     begun, ended = ramps(recording)
-    slowed = sum(s in (Status.SLOWED, Status.BLOCKED) for s in recording.statuses) - begun - ended
-    stopped = sum(s in (Status.HOLDING, Status.FAULT) for s in recording.statuses)
+    steps = Counter(recording.statuses)
+    slowed = steps[Status.SLOWED] + steps[Status.BLOCKED] - begun - ended
     text = f"{took}, {slowed} of {recording.n_steps} steps slowed"
     text += f", {begun} to speed up" if begun else ""
     text += f", {ended} to brake at the end" if ended else ""
@@ -169,27 +146,47 @@ def _finished(recording: Recording) -> Finding:
         text += "; the path has no end"
     elif not recording.finished:
         text = f"the object's clock stands at {recording.clock[-1]:.4g} s after {took}"
-    if stopped:
-        text += f", {stopped} steps stopped by a failure"
-    text += _counted(recording, Status.PAUSED, "paused") + _counted(recording, Status.JOGGING, "led by hand")
-    text += _counted(recording, Status.WAITING, "waiting") + _counted(recording, Status.OFF_PATH, "off the path")
+    stopped = steps[Status.HOLDING] + steps[Status.FAULT]
+    for number, what in (
+        (stopped, "steps stopped by a failure"),
+        (steps[Status.PAUSED], "paused"),
+        (steps[Status.JOGGING], "led by hand"),
+        (steps[Status.WAITING], "waiting"),
+        (steps[Status.OFF_PATH], "off the path"),
+    ):
+        text += f", {number} {what}" if number else ""
     arrived = recording.finished or endless
-    cause = "" if arrived and not stopped else _why_not(recording, arrived=arrived)
-    return Finding(question, arrived and not stopped, text, cause)
+    holds = arrived and not stopped
+    return Finding(_ARRIVED, holds, text, "" if holds else _why_not(recording, arrived=arrived))
 
 
-def _carried_load(cell: RobotCell, recording: Recording) -> tuple[Finding, ...]:
-    """Findings on forces and torques; empty for a recording without them."""
+def _carried_load(cell: RobotCell, recording: Recording) -> Iterator[Finding]:
+    """Findings on forces and torques; none for a recording without them."""
     loads = read_loads(cell, recording)
     if loads is None:
-        return ()
-    asked = (
-        ("Do the arms carry the load?", loads.overloaded(cell)),
-        ("Is the object held without squeezing?", loads.squeezed(cell))
-        if loads.palm_use is None
-        else ("Do the palms hold the object?", loads.held(cell)),
-    )
-    return tuple(Finding(question, not cause, text, cause) for question, (text, cause) in asked)
+        return
+    torques, *of_arms = loads.checks(cell)
+    use = torques.values
+    j = int(use.max(axis=0).argmax())
+    heavy = np.flatnonzero(~(use[:, j] <= 1.0))
+    cause = f"{cell.joint_names[j]}: torque, since {loads.time[heavy[0]]:.3f} s" if heavy.size else ""
+    text = f"at most {100.0 * use[:, j].max():.1f} % of a torque ({cell.joint_names[j]})"
+    yield Finding("Do the arms carry the load?", not cause, text, cause)
+    palms, moves = loads.palm_use is not None, loads.moves < recording.n_steps
+    values = of_arms[-1].values
+    # Friction may be used up for moments. The object is lost when a palm no longer presses.
+    over = ~(values <= (np.finfo(float).max if palms else loads.internal_limit))
+    first = int(over.any(axis=1).argmax())
+    arm = f"arm {cell.arm_names[int(values[first].argmax())]}"
+    if palms:
+        kind, most = "friction", cell.arm_names[int(values.max(axis=0).argmax())]
+        text = f"{arm} let go" if over.any() else f"at most {100.0 * values.max():.0f} % of a palm's friction ({most})"
+    else:
+        kind, text = "internal force", f"internal force ≤ {values.max():.1f} N in motion"
+        text += f" (accepted: {loads.internal_limit:g} N)" if np.isfinite(loads.internal_limit) else ""
+    cause = f"{arm}: {kind}, since {loads.time[first]:.3f} s" if over.any() else ""
+    question = "Do the palms hold the object?" if palms else "Is the object held without squeezing?"
+    yield Finding(question, not cause, text if moves else "the object did not move", cause)
 
 
 def _apart(recording: Recording) -> tuple[Finding, ...]:
@@ -222,11 +219,6 @@ def _apart(recording: Recording) -> tuple[Finding, ...]:
     return (Finding("Did all keep clear?", not causes, "; ".join(texts), "; ".join(causes)),)
 
 
-def _counted(recording: Recording, status: Status, what: str) -> str:
-    steps = sum(s is status for s in recording.statuses)
-    return f", {steps} {what}" if steps else ""
-
-
 def _why_not(recording: Recording, *, arrived: bool) -> str:
     """Why a run did not finish, or what failed in it: the status, its limits or its reason, and since when."""
     statuses = recording.statuses
@@ -235,7 +227,8 @@ def _why_not(recording: Recording, *, arrived: bool) -> str:
     if arrived:  # it went on after a failure
         first = next(i for i, s in enumerate(statuses) if s in (Status.HOLDING, Status.FAULT))
         return f"{statuses[first].value} from {_at(recording, first)} on{_blame(recording, first, first + 1)}"
-    kinds = _STOPPED if statuses[-1] in _STOPPED else (statuses[-1],)
+    stopped = (Status.BLOCKED, Status.HOLDING, Status.FAULT)
+    kinds = stopped if statuses[-1] in stopped else (statuses[-1],)
     first = len(statuses)
     while first and statuses[first - 1] in kinds:
         first -= 1
@@ -262,141 +255,89 @@ def _blame(recording: Recording, first: int, last: int) -> str:
     return f": {reasons[-1].rstrip('.')}" if reasons else ""
 
 
-def _positions(cell: RobotCell, recording: Recording) -> Finding:
-    question = "Are the joints inside their positions?"
-    parts = recording.parts(len(recording.time))
-    none = np.full(cell.nv, -np.inf)
-    outside, since = _largest(parts, lambda part: -_within_limits(cell, recording, part), POSITION_ROUNDING, none)
-    j = int(outside.argmax())
-    margin, name, at = -float(outside[j]), cell.joint_names[j], _at(recording, max(int(since[j]), 0))
-    if not np.isfinite(margin):
-        if since[j] >= 0:
-            return Finding(question, False, "not finite", f"not finite since {at}")
-        return Finding(question, True, "no joint has a limit")
-    unit = _amount(cell, j, abs(margin))
-    if margin < -POSITION_ROUNDING:
-        return Finding(question, False, f"{name} is {unit} outside", f"{_joint(cell, j)}: position, since {at}")
-    return Finding(question, True, f"closest: {name}, {unit} inside")
+def _joints(cell: RobotCell, recording: Recording) -> Iterator[Finding]:
+    """Findings on positions, and on speeds and accelerations. A run starts at rest."""
+    v, limits, samples, steps = recording.velocity, cell.limits, len(recording.time), recording.n_steps
 
+    def largest(
+        count: int, values: Callable[[slice], Array], allowed: float, least: float
+    ) -> tuple[int, float, str, str]:
+        """The joint with the largest of values (T, nv); the value; where it is not allowed whose it is, and since when.
 
-def _largest(
-    parts: Iterable[slice], values: Callable[[slice], Array], allowed: float, least: Array
-) -> tuple[Array, npt.NDArray[np.intp]]:
-    """The largest value of each joint (nv,) over all rows, and the first row with one that is not allowed; −1 for none.
+        NaN is not allowed, and counts as the largest; ``least`` is what the largest is without rows.
+        """
+        most, first = np.full(cell.nv, least), np.full(cell.nv, -1)
+        for part in recording.parts(count):
+            rows = values(part)
+            bad = ~(rows <= allowed)
+            most = np.maximum(most, rows.max(axis=0))
+            first = np.where((first < 0) & bad.any(axis=0), part.start + bad.argmax(axis=0), first)
+        j = int(most.argmax())
+        arm, _, joint = cell.joint_names[j].partition("/")
+        since = f"since {_at(recording, int(first[j]))}" if first[j] >= 0 else ""
+        return j, float(most[j]), f"arm {arm} joint {joint}", since
 
-    Args:
-        parts: the rows; ``values(part)`` has some of them (T, nv). NaN is not allowed, and counts as the largest.
-        allowed: largest value that is allowed.
-        least: what the largest is without rows (nv,).
-    """
-    largest, first = least, np.full(len(least), -1)
-    for part in parts:
-        rows = values(part)
-        bad = ~(rows <= allowed)
-        largest = np.maximum(largest, rows.max(axis=0))
-        first = np.where((first < 0) & bad.any(axis=0), part.start + bad.argmax(axis=0), first)
-    return largest, first
+    def excess(part: slice) -> Array:
+        """Joints that move no tool, such as fingers, are where they stand: −inf inside their limits."""
+        rows = metrics.outside(limits, cell.positions(recording.q_command[part]))
+        for own, still in zip(cell.columns, standing(cell), strict=True):
+            stands = rows[:, own[still]]
+            rows[:, own[still]] = np.where(stands <= POSITION_ROUNDING, -np.inf, stands)
+        return rows
 
+    def acceleration(part: slice) -> Array:
+        before = np.vstack([v[part.start - 1] if part.start else np.zeros(cell.nv), v[part.start : part.stop - 1]])
+        return metrics.acceleration_use(limits, v[part], before, np.diff(recording.time[part.start : part.stop + 1]))
 
-def _within_limits(cell: RobotCell, recording: Recording, part: slice) -> Array:
-    """Distance of the commanded joints from the nearer position limit (T, nv) [rad or m]; inf without limit.
-
-    Joints that move no tool, such as fingers, are where they stand: inf inside their limits.
-    """
-    q = cell.positions(recording.q_command[part])
-    margins = np.minimum(q - cell.limits.lower, cell.limits.upper - q)
-    for own, still in zip(cell.columns, standing(cell), strict=True):
-        stands = margins[:, own[still]]
-        margins[:, own[still]] = np.where(stands >= -POSITION_ROUNDING, np.inf, stands)
-    return margins
-
-
-def _rates(cell: RobotCell, recording: Recording) -> Finding:
-    question = "Are the joints within speed and acceleration?"
+    j, value, who, since = largest(samples, excess, POSITION_ROUNDING, -np.inf)
+    amount = f"{1e3 * abs(value):.4g} mm" if slides(cell)[j] else f"{np.rad2deg(abs(value)):.4g}°"
+    name, cause = cell.joint_names[j], f"{who}: position, {since}" if since else ""
+    answer = f"{name} is {amount} outside" if since else f"closest: {name}, {amount} inside"
+    if not np.isfinite(value):
+        answer, cause = ("not finite", f"not finite {since}") if since else ("no joint has a limit", "")
+    yield Finding("Are the joints inside their positions?", not cause, answer, cause)
     texts, causes = [], []
-    for name, kind, share, limit in (
-        ("speed", "velocity", _speed, cell.limits.velocity),
-        ("acceleration", "acceleration", _acceleration, cell.limits.acceleration),
+    for name, kind, limit, use in (
+        ("speed", "velocity", limits.velocity, lambda part: np.abs(v[part]) / limits.velocity),
+        ("acceleration", "acceleration", limits.acceleration, acceleration),
     ):
         if not np.isfinite(limit).any():
             texts.append(f"no limit of {name}")
             continue
-        shares = functools.partial(share, cell, recording)
-        largest, since = _largest(recording.parts(recording.n_steps), shares, 1.0 + RATE_ROUNDING, np.zeros(cell.nv))
-        j = int(largest.argmax())
-        texts.append(f"{name} ≤ {100.0 * largest[j]:.4g} % of the limit ({cell.joint_names[j]})")
-        if since[j] >= 0:
-            causes.append(f"{_joint(cell, j)}: {kind}, since {_at(recording, int(since[j]))}")
-    return Finding(question, not causes, "; ".join(texts), "; ".join(causes))
+        j, value, who, since = largest(steps, use, 1.0 + RATE_ROUNDING, 0.0)
+        texts.append(f"{name} ≤ {100.0 * value:.4g} % of the limit ({cell.joint_names[j]})")
+        causes += [f"{who}: {kind}, {since}"] if since else []
+    question = "Are the joints within speed and acceleration?"
+    yield Finding(question, not causes, "; ".join(texts), "; ".join(causes))
 
 
-def _speed(cell: RobotCell, recording: Recording, part: slice) -> Array:
-    """Joint speeds of steps as shares of their limits (T, nv)."""
-    return np.abs(recording.velocity[part]) / cell.limits.velocity
+def _object(cell: RobotCell, recording: Recording, readings: Readings, t: Tolerances) -> Iterator[Finding]:
+    """Findings on the chain, which commands close, and on the path, which the measured object follows."""
+    names, (i, j) = cell.arm_names, np.triu_indices(len(cell), 1)
+    pairs = [f"arms {names[a]} and {names[b]}" for a, b in zip(i, j, strict=True)]
+    for question, what, q, who in (
+        ("Do the arms agree on where the object is?", "chain", recording.q_command, slice(len(pairs))),
+        ("Is the object on its path?", "object", recording.q, slice(len(pairs), None)),
+    ):
+        mm, degrees = getattr(readings, f"{what}_mm"), getattr(readings, f"{what}_deg")
+        most_mm, most_degrees = getattr(t, f"{what}_mm"), getattr(t, f"{what}_deg")
+        text = f"{_within(float(mm.max()), float(degrees.max()))} (asked: {most_mm:g} mm, {most_degrees:g}°)"
+        bad, cause = ~((mm <= most_mm) & (degrees <= most_degrees)), ""
+        if bad.any():
+            first = int(bad.argmax())
+            at = slice(first, first + 1)
+            reference, shift = recording.reference[at], recording.shift_at(at)
+            gaps = np.hypot(*metrics.object_gaps(cell, recording.grasp, q[at], reference, shift))[0, who]
+            named = [*pairs, *(f"the object at arm {name}" for name in names)][who]
+            cause = f"{named[int(gaps.argmax())]}, beyond the tolerance since {_at(recording, first)}"
+        yield Finding(question, not cause, text, cause)
 
 
-def _acceleration(cell: RobotCell, recording: Recording, part: slice) -> Array:
-    """Accelerations of steps as shares of their limits (T, nv). A run starts at rest."""
-    v = recording.velocity[part]
-    before = np.vstack([recording.velocity[part.start - 1] if part.start else np.zeros(cell.nv), v[:-1]])
-    dt = np.diff(recording.time[part.start : part.stop + 1])[:, None]
-    return np.abs(v - before) / dt / cell.limits.acceleration
-
-
-def _held(
-    question: str,
-    recording: Recording,
-    errors: tuple[Array, Array],
-    largest: tuple[float, float],
-    where: Callable[[int], str],
-) -> Finding:
-    a, b = (float(np.max(error)) for error in errors)
-    text = f"{_within(a, ' mm', b, '°')} (asked: {largest[0]:g} mm, {largest[1]:g}°)"
-    bad = ~((errors[0] <= largest[0]) & (errors[1] <= largest[1]))
-    if not bad.any():
-        return Finding(question, True, text)
-    first = int(bad.argmax())
-    return Finding(question, False, text, f"{where(first)}, beyond the tolerance since {_at(recording, first)}")
-
-
-def _within(a: float, of_a: str, b: float, of_b: str) -> str:
-    one, other = error_text(a, of_a), error_text(b, of_b)
+def _within(mm: float, degrees: float) -> str:
+    one, other = error_text(mm, " mm"), error_text(degrees, "°")
     both = f"within {one}" if not one.startswith("below") else one
     joined = not other.startswith("below") and both == one  # each has its own word
     return f"{both} and {'within ' if joined else ''}{other}"
-
-
-def _joint(cell: RobotCell, j: int) -> str:
-    arm, _, joint = cell.joint_names[j].partition("/")
-    return f"arm {arm} joint {joint}"
-
-
-def _parted(cell: RobotCell, recording: Recording, sample: int) -> str:
-    """The two arms that are farthest from each other at a sample."""
-    carried = _carried(cell, recording, recording.q_command[sample])
-    pairs = [(i, j) for i in range(len(carried)) for j in range(i + 1, len(carried))]
-    i, j = max(pairs, key=lambda p: _distance(carried[p[0]], carried[p[1]]), default=(0, 0))
-    return f"arms {cell.arm_names[i]} and {cell.arm_names[j]}"
-
-
-def _strayed(cell: RobotCell, recording: Recording, sample: int) -> str:
-    """The arm whose object pose is farthest from the path at a sample."""
-    carried = _carried(cell, recording, recording.q[sample])
-    pose = pin.SE3(recording.reference[sample])
-    k = max(range(len(carried)), key=lambda k: _distance(pose, carried[k]))
-    return f"the object at arm {cell.arm_names[k]}"
-
-
-def _carried(cell: RobotCell, recording: Recording, q: Array) -> Sequence[pin.SE3]:
-    """The object pose of every arm."""
-    tools = metrics.tool_placements(cell, q[None])[0]
-    return [T * X.inverse() for T, X in zip(tools, recording.grasp.T_object_tool, strict=True)]
-
-
-def _distance(a: pin.SE3, b: pin.SE3) -> float:
-    """Length of the displacement between two poses, metres and radians added; inf if it is not finite."""
-    size = float(np.linalg.norm(pin.log6(a.actInv(b)).vector))
-    return size if math.isfinite(size) else math.inf
 
 
 def why(findings: Sequence[Finding]) -> list[str]:
@@ -404,6 +345,72 @@ def why(findings: Sequence[Finding]) -> list[str]:
     return [f"{finding.question} No: {finding.cause or finding.answer}." for finding in findings if not finding.holds]
 
 
-def _amount(cell: RobotCell, j: int, value: float) -> str:
-    """A joint position with its unit: degrees, or millimetres for a prismatic joint."""
-    return f"{1e3 * value:.4g} mm" if slides(cell)[j] else f"{np.rad2deg(value):.4g}°"
+# -- key figures -------------------------------------------------------------------------------------------------------
+
+
+def ramps(recording: Recording) -> tuple[int, int]:
+    """Numbers of steps with a lower rate in which the object only speeds up from rest, and only brakes for its end.
+
+    They are part of every healthy run. The first are those before the first step at full rate, if the rate rises and no
+    limit binds but accelerations; the others are those in which no limit binds but the end of the path.
+    """
+    slowed = np.asarray(recording.status) == Status.SLOWED.code
+    if not slowed.any():
+        return 0, 0
+    bindings = recording.bindings or [()] * recording.n_steps
+    ends = [len(b) > 0 and all(limit.kind is LimitKind.PATH_END for limit in b) for b in bindings]
+    full = np.flatnonzero(recording.status == Status.TRACKING.code)
+    first = int(full[0]) if len(full) else 0
+    rises = bool((np.diff(recording.rate[:first]) >= -metrics.ROUNDING).all())
+    free = all(limit.kind is LimitKind.ACCELERATION for b in bindings[:first] for limit in b)
+    begun = first if rises and free and bool(slowed[:first].all()) else 0
+    return begun, int(np.count_nonzero(slowed & ends)) if recording.finished else 0
+
+
+def worst_status(recording: Recording) -> str:
+    """``"ok"`` if every step tracked and the object arrived, otherwise the worst status of the run.
+
+    Steps of :func:`ramps` count as tracking.
+    """
+    statuses = recording.statuses
+    worst = max(statuses, key=lambda status: status.precedence, default=Status.TRACKING)
+    if worst is Status.SLOWED and statuses.count(worst) == sum(ramps(recording)):
+        worst = Status.TRACKING
+    return "ok" if worst is Status.TRACKING and recording.finished else worst.value
+
+
+def run_figures(cell: RobotCell, recording: Recording, readings: Readings) -> dict[str, str]:
+    """The key figures of a run by name, with their units."""
+    sigma = readings.sigma_min
+    arm = int(np.unravel_index(int(np.nanargmin(sigma)), sigma.shape)[1]) if np.isfinite(sigma).any() else 0
+    figures = {
+        "largest ε_p": error_text(readings.eps_p_mm.max(), " mm"),
+        "largest ε_o": error_text(readings.eps_o_deg.max(), "°"),
+        "arms against each other": error_text(readings.chain_mm.max(), " mm"),
+        "object off its path": error_text(readings.object_mm.max(), " mm"),
+        "object off at the end": error_text(readings.object_mm[-1], " mm"),
+        "smallest rate σ": f"{100.0 * float(recording.rate.min(initial=1.0)):.3g} %",
+        "smallest singular value": f"{error_text(sigma.min())} ({cell.arm_names[arm]})",
+        "time": f"{float(recording.time[-1]):.4g} s",
+        "steps": f"{recording.n_steps} of {1e3 * float(np.median(np.diff(recording.time))):.4g} ms",
+        "worst status": worst_status(recording),
+    }
+    loads = read_loads(cell, recording)
+    if loads is None:
+        return figures
+
+    def largest(values: Array, unit: str, names: Sequence[str], first: int = 0) -> str:
+        i, j = map(int, np.unravel_index(int(values[first:].argmax()), values[first:].shape))
+        return f"{values[first + i, j]:.1f} {unit} ({names[j]}, {loads.time[first + i]:.2f} s)"
+
+    use, palms = 100.0 * loads.torque_use, loads.palm_use
+    figures["torque, most used"] = largest(use, "%", cell.joint_names)
+    for name, own in zip(cell.arm_names, cell.v_slices, strict=True):
+        figures[f"torque of {name}"] = f"{use[:, own].max():.1f} % of its limit"
+    if loads.moves < recording.n_steps and palms is not None:
+        figures["friction, most used"] = largest(100.0 * palms, "%", cell.arm_names, loads.moves)
+    elif loads.moves < recording.n_steps:
+        figures["internal force in motion"] = largest(loads.internal, "N", cell.arm_names, loads.moves)
+    squeeze = "internal force" if palms is None else "squeeze"
+    figures[f"{squeeze} at the end"] = f"{loads.internal[-1].max():.1f} N"
+    return figures

@@ -1,10 +1,15 @@
-"""Error measures of a run, computed from configurations only, independently of the controllers."""
+"""Error measures of configurations and of whole runs, computed independently of the controllers.
+
+The errors between the arms use the *commanded* configurations: once the object is gripped, servo deflection hides these
+errors in the measured ones. The object pose uses the *measured* ones.
+"""
 
 from __future__ import annotations
 
 import functools
 import math
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass, fields
 from typing import Any
 
 import numpy as np
@@ -12,10 +17,13 @@ import pinocchio as pin
 
 from coopqp.checks import ArrayLike
 from coopqp.errors import InvalidInputError
+from coopqp.model.batch import singular_values
 from coopqp.model.cell import RobotCell
 from coopqp.model.grasp import Grasp
+from coopqp.model.joint_limits import JointLimits
 from coopqp.model.state import workspace
 from coopqp.paths.path import ObjectPath
+from coopqp.simulation.recording.recording import Recording
 from coopqp.spatial import Array, cross
 
 #: Smaller errors [mm or deg] are rounding: texts say "below" instead of a number.
@@ -81,12 +89,10 @@ def tool_matrices(cell: RobotCell, configurations: Array) -> Array:
     return _tools(cell, configurations, lambda i, q: pin.forwardKinematics(model, data, q))
 
 
-@np.errstate(invalid="ignore")  # infinite positions have no moment
 def tools_and_jacobians(cell: RobotCell, configurations: Array) -> tuple[Array, Array]:
     """T_world_tool (T, N, 4, 4) at configurations (T, nq), and transposed Jacobians (T, nv, 6).
 
-    A row is the twist that a joint gives to its arm's tool, in world axes, at the tool's point; a joint that arms share
-    to the tool of the first of them.
+    A row is the twist that a joint gives to what it moves, in world axes, at the world's origin.
     """
     data, model = workspace(cell), cell.model
     J = np.empty((len(configurations), 6, cell.nv))
@@ -94,11 +100,7 @@ def tools_and_jacobians(cell: RobotCell, configurations: Array) -> tuple[Array, 
     def compute(i: int, q: Array) -> None:
         J[i] = pin.computeJointJacobians(model, data, q)
 
-    T = _tools(cell, configurations, compute)
-    twists = np.ascontiguousarray(J.transpose(0, 2, 1))  # at the world's origin
-    points = T[:, :, :3, 3][:, [cell.arm_of_joint(j) for j in range(cell.nv)]]
-    twists[..., :3] += cross(twists[..., 3:], points)
-    return T, twists
+    return _tools(cell, configurations, compute), np.ascontiguousarray(J.transpose(0, 2, 1))
 
 
 def _tools(cell: RobotCell, configurations: Array, compute: Callable[[int, Array], object]) -> Array:
@@ -189,6 +191,11 @@ def chain_errors(tools: Array, grasp: Grasp) -> tuple[Array, Array]:
     return distance.max(axis=-1, initial=0.0), angle.max(axis=-1, initial=0.0)
 
 
+def held_poses(cell: RobotCell, grasp: Grasp, q: Array, shift: Array | None) -> Array:
+    """Object pose of each arm (T, N, 4, 4) at configurations (T, nq), with grasps that have given way (T, N, 6)."""
+    return object_poses(without_shift(tool_matrices(cell, q), grasp, shift), grasp)
+
+
 def object_gaps(cell: RobotCell, grasp: Grasp, q: Array, reference: Array, shift: Array | None) -> tuple[Array, Array]:
     """Distances [m] and angles [rad] (T, P + N): first of the P pairs of two arms, then of each arm and the path.
 
@@ -198,7 +205,7 @@ def object_gaps(cell: RobotCell, grasp: Grasp, q: Array, reference: Array, shift
         reference: poses of the path (T, 4, 4).
         shift: motion of the grasps (T, N, 6) [m, rad]; None where they stay.
     """
-    poses = object_poses(without_shift(tool_matrices(cell, q), grasp, shift), grasp)
+    poses = held_poses(cell, grasp, q, shift)
     rows = max(1, _LARGEST_TABLE // (len(cell) * (len(cell) + 1) // 2))
     found = []
     for part in (slice(start, start + rows) for start in range(0, len(q), rows)):
@@ -242,6 +249,23 @@ def path_error(tools: Sequence[pin.SE3], grasp: Grasp, path: ObjectPath, clock: 
     return float(distance.max()), float(angle.max())
 
 
+def outside(limits: JointLimits, x: Array) -> Array:
+    """How far joint positions (…, nv) are outside the nearer of their limits [rad or m]; negative inside."""
+    return np.maximum(x - limits.upper, limits.lower - x)
+
+
+def acceleration_use(limits: JointLimits, v: Array, v_before: Array, dt: Array) -> Array:
+    """Share of each joint's largest acceleration (T, nv) that steps of lengths dt (T,) [s] use.
+
+    Args:
+        limits: the limits.
+        v, v_before: velocities in each step, and in the one before (T, nv) [rad/s or m/s].
+        dt: lengths of the steps (T,) [s].
+    """
+    with np.errstate(divide="ignore", invalid="ignore"):
+        return np.abs(v - v_before) / (dt[:, None] * limits.acceleration)
+
+
 def limit_excess(cell: RobotCell, configurations: ArrayLike, velocities: Any) -> float:
     """Largest excess over any position [rad or m] or velocity limit [rad/s or m/s]; 0 if all limits are kept.
 
@@ -252,8 +276,91 @@ def limit_excess(cell: RobotCell, configurations: ArrayLike, velocities: Any) ->
     Returns:
         The excess; NaN if any row has NaN, so that a broken run never looks perfect.
     """
-    limits = cell.limits
     x = cell.positions(_table(configurations, cell.nq, "configurations"))
     v = np.abs(_table(velocities, cell.nv, "velocities"))
-    excesses = (x - limits.upper, limits.lower - x, v - limits.velocity)
+    excesses = outside(cell.limits, x), v - cell.limits.velocity
     return float(np.max([excess.max(initial=0.0) for excess in excesses]))
+
+
+# -- runs --------------------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, eq=False)
+class Readings:
+    """Errors at every sample of a run, shape (T+1,) unless stated otherwise.
+
+    Attributes:
+        eps_p_mm, eps_o_deg: the paper's ε_p [mm] and ε_o [deg].
+        chain_mm, chain_deg: largest distance [mm] and angle [deg] between the object poses of any two arms.
+        object_mm, object_deg: largest distance [mm] and angle [deg] between any arm's object pose and the path.
+        sigma_min: smallest singular value of each arm's tool Jacobian, (T+1, N).
+    """
+
+    eps_p_mm: Array
+    eps_o_deg: Array
+    chain_mm: Array
+    chain_deg: Array
+    object_mm: Array
+    object_deg: Array
+    sigma_min: Array
+
+
+def check_recording(cell: RobotCell, recording: Recording) -> None:
+    """Raise InvalidInputError unless the recording fits the cell."""
+    q, v, n = recording.q.shape[1], recording.velocity.shape[1], len(recording.T_object_tool)
+    if (q, v, n) != (cell.nq, cell.nv, len(cell)):
+        raise InvalidInputError(
+            f"a recording with nq = {q}, nv = {v} and {n} arms for a cell with nq = {cell.nq}, nv = {cell.nv} and "
+            f"{len(cell)} arms",
+            "recording",
+            "Use the cell that the run was made with.",
+        )
+
+
+def read_run(cell: RobotCell, recording: Recording) -> Readings:
+    """Compute the errors of a run at every sample.
+
+    Raises:
+        InvalidInputError: the recording is from another cell.
+    """
+    check_recording(cell, recording)
+    read = [read_part(cell, recording, part) for part in recording.parts(len(recording.time))]
+    return Readings(*(np.concatenate([getattr(part, field.name) for part in read]) for field in fields(Readings)))
+
+
+def read_part(cell: RobotCell, recording: Recording, part: slice) -> Readings:
+    """:func:`read_run` for some samples of a recording that fits the cell."""
+    grasp = recording.grasp
+    q, q_command = recording.q[part], recording.q_command[part]
+    tools, J = tools_and_jacobians(cell, q_command)
+    sigma = _sigma_min(cell, J, tools)
+    shift = recording.shift_at(part)
+    commanded = without_shift(tools, grasp, shift)
+    agreed = held = object_poses(commanded, grasp)
+    if not np.array_equal(q, q_command):
+        held = held_poses(cell, grasp, q, shift)
+    chain_m, chain_rad = gaps(agreed)
+    object_m, object_rad = errors_from(held, recording.reference[part])
+    return Readings(
+        eps_p_mm=1e3 * positioning_errors(commanded, grasp),
+        eps_o_deg=np.rad2deg(orientation_errors(chain_rad)),
+        chain_mm=1e3 * chain_m.max(axis=1, initial=0.0),
+        chain_deg=np.rad2deg(chain_rad.max(axis=1, initial=0.0)),
+        object_mm=1e3 * object_m.max(axis=1),
+        object_deg=np.rad2deg(object_rad.max(axis=1)),
+        sigma_min=sigma,
+    )
+
+
+def _sigma_min(cell: RobotCell, J: Array, tools: Array) -> Array:
+    """Smallest singular value of each arm's tool Jacobian (T, N); NaN where a sample is not finite.
+
+    Joints that the arms of a group share count: an arm may be singular by itself where they move it on.
+    """
+    sigma = np.full((len(J), len(cell)), np.nan)
+    good = np.isfinite(J).all(axis=(1, 2)) & np.isfinite(tools).all(axis=(1, 2, 3))
+    for k, own in enumerate(cell.columns):
+        rows = J[good][:, own]
+        rows[..., :3] += cross(rows[..., 3:], tools[good, k, None, :3, 3])
+        sigma[good, k] = singular_values(rows)[:, -1]
+    return sigma

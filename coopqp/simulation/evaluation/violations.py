@@ -1,13 +1,17 @@
-"""Findings of a monitor: violations, and the verdict."""
+"""Checks of a monitor: quantities with their bounds; their violations, and the verdict."""
 
 from __future__ import annotations
 
 import enum
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from types import MappingProxyType
+from typing import NamedTuple
 
 import numpy as np
+
+from coopqp.model.cell import RobotCell
+from coopqp.spatial import Array
 
 
 class ViolationKind(enum.Enum):
@@ -29,6 +33,35 @@ class ViolationKind(enum.Enum):
     SQUEEZE = "internal force"
     FRICTION = "friction of a palm"
     MUTATED = "data were modified"
+
+
+def owners(cell: RobotCell) -> tuple[list[tuple[str, str]], list[tuple[str, str]]]:
+    """Names of the arm and the joint of each joint, and of each arm."""
+    return [name.partition("/")[::2] for name in cell.joint_names], [(name, "") for name in cell.arm_names]
+
+
+class Check(NamedTuple):
+    """A quantity of T steps with its bound.
+
+    Attributes:
+        kind: kind of its violations.
+        values: the quantity of each of K arms or joints (T, K), or of all (T,); NaN is too much.
+        bound: the largest value that is allowed.
+        who: names of the arm and the joint of each; empty if the quantity concerns all.
+        detail: explanation in words.
+        rounding: excess over the bound that counts as rounding.
+        worst: the field of :class:`Worst` that has the largest value; empty for none.
+        largest_only: whether a step has one violation at most, that of the largest value.
+    """
+
+    kind: ViolationKind
+    values: Array
+    bound: float = 0.0
+    who: Sequence[tuple[str, str]] = ()
+    detail: str = ""
+    rounding: float = 0.0
+    worst: str = ""
+    largest_only: bool = False
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,18 +1,98 @@
-"""Forces and torques of a recorded run: internal forces, and the used share of each limit."""
+"""Forces and torques of a run, and the bounds of the arms' wrenches; computed in another way than a controller's."""
 
 from __future__ import annotations
 
+import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
+from coopqp.checks import as_tuple, keep_scalars
 from coopqp.errors import CoopqpError, InvalidInputError
-from coopqp.forces.frictional_contacts import palm_use
 from coopqp.forces.grips import Grip
-from coopqp.forces.internal import internal_wrenches
 from coopqp.model.cell import RobotCell
+from coopqp.model.grasp import Grasp
+from coopqp.simulation.evaluation.violations import Check, ViolationKind, owners
 from coopqp.simulation.recording.recording import Recording, RecordingError
 from coopqp.spatial import Array
+
+#: Weight of torques against forces where a load is shared [1/m].
+_TORQUE = 10.0
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class WrenchBounds:
+    """Bounds of the wrenches of the arms on the object while it moves.
+
+    Attributes:
+        internal_force: largest internal force of an arm: its force less its share of the load [N].
+        palms: one palm per arm, which must stay inside its friction cone and on its pad; None for grips.
+
+    Raises:
+        InvalidInputError: a force that is not positive, or a grip that is no palm.
+    """
+
+    internal_force: float = math.inf
+    palms: tuple[Grip, ...] | None = None
+
+    def __post_init__(self) -> None:
+        if self.internal_force != math.inf:
+            keep_scalars(self, "internal_force")
+        if self.palms is not None:
+            palms = as_tuple(self.palms, "WrenchBounds: palms", "Give one Grip per arm.")
+            object.__setattr__(self, "palms", palms)
+            if any(getattr(palm, "kind", None) != "palm" for palm in palms):
+                raise InvalidInputError("no palm", "WrenchBounds: palms", 'Give Grip(kind="palm", …) for each arm.')
+
+    def check_arms(self, arms: int) -> None:
+        """Check that there is one palm for each arm.
+
+        Raises:
+            InvalidInputError: another number of palms.
+        """
+        if self.palms is not None and len(self.palms) != arms:
+            raise InvalidInputError(f"{len(self.palms)} palms for {arms} arms", "WrenchBounds", "Give one per arm.")
+
+
+def internal_forces(grasp: Grasp, wrenches: Array) -> Array:
+    """Sizes (…, N) [N] of forces: of wrenches (…, N, 6) at the tools, less the least ones that carry the same load."""
+    metric = np.tile([1.0] * 3 + [_TORQUE**2] * 3, len(grasp))[:, None]
+    maps = np.hstack([X.actionInverse.T for X in grasp.T_object_tool])
+    flat = wrenches.reshape(-1, len(metric)).T
+    carried = maps.T @ np.linalg.solve((maps / metric.T) @ maps.T, maps @ flat) / metric
+    size: Array = np.linalg.norm((flat - carried).T.reshape(wrenches.shape)[..., :3], axis=-1)
+    return size
+
+
+def friction_use(palms: Sequence[Grip], wrenches: Array) -> Array:
+    """Share of each palm's friction and pad that wrenches (…, N, 6) use (…, N); inf where a palm does not press.
+
+    It is the larger of Howe and Cutkosky's ellipsoid and of the pressure at the pad's edge.
+    """
+    out = np.empty(wrenches.shape[:-1])
+    for k, palm in enumerate(palms):
+        n, f, m = np.asarray(palm.normal), wrenches[..., k, :3], wrenches[..., k, 3:]
+        pressed, across, tilting = f @ n, np.linalg.norm(np.cross(n, f), axis=-1), np.zeros(out.shape[:-1])
+        if palm.radius > 0.0:
+            across = np.hypot(across, m @ n / (2.0 / 3.0 * palm.radius))
+            tilting = np.linalg.norm(np.cross(n, m), axis=-1) / palm.radius
+        with np.errstate(divide="ignore", invalid="ignore"):
+            used = np.maximum(across / (float(palm.friction or 0.0) * pressed), tilting / pressed)
+        out[..., k] = np.where(pressed > 0.0, used, math.inf)
+    return out
+
+
+def wrench_checks(cell: RobotCell, internal: Array, limit: float, palm_use: Array | None) -> list[Check]:
+    """Internal forces (T, N) with their limit [N], and the used friction of palms (T, N); None without palms."""
+    arms = owners(cell)[1]
+    squeeze = Check(ViolationKind.SQUEEZE, internal, limit, arms, "N")
+    if palm_use is None:
+        return [squeeze]
+    return [squeeze, Check(ViolationKind.FRICTION, palm_use, 1.0, arms, "share of the friction")]
+
+
+# -- recorded runs -----------------------------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True, eq=False)
@@ -35,68 +115,14 @@ class RunLoads:
     moves: int
     palm_use: Array | None = None
 
-    def figures(self, cell: RobotCell) -> dict[str, str]:
-        """The key figures by name, with their units."""
-        i, j = _largest(self.torque_use)
-        most = f"{100.0 * self.torque_use[i, j]:.1f} %"
-        out = {"torque, most used": f"{most} ({cell.joint_names[j]}, {self.time[i]:.2f} s)"}
-        for k, arm in enumerate(cell.arm_names):
-            own = self.torque_use[:, cell.v_slices[k]]
-            out[f"torque of {arm}"] = f"{100.0 * own.max():.1f} % of its limit"
-        if self.palm_use is not None and self.moves < len(self.time):
-            i, j = _largest(self.palm_use[self.moves :])
-            most = f"{100.0 * self.palm_use[self.moves + i, j]:.1f} %"
-            out["friction, most used"] = f"{most} ({cell.arm_names[j]}, {self.time[self.moves + i]:.2f} s)"
-        moving = self.internal[self.moves :]
-        if moving.size and self.palm_use is None:
-            i, j = _largest(moving)
-            where = f"{cell.arm_names[j]}, {self.time[self.moves + i]:.2f} s"
-            out["internal force in motion"] = f"{moving[i, j]:.1f} N ({where})"
-        what = "internal force" if self.palm_use is None else "squeeze"
-        out[f"{what} at the end"] = f"{self.internal[-1].max():.1f} N"
-        return out
-
-    def overloaded(self, cell: RobotCell) -> tuple[str, str]:
-        """The used share of the torques in words; and the cause if it is too much."""
-        use = self.torque_use
-        i, j = _largest(use)
-        text = f"at most {100.0 * use[i, j]:.1f} % of a torque ({cell.joint_names[j]})"
-        over = np.flatnonzero(use[:, j] > 1.0)
-        return text, f"{cell.joint_names[j]}: torque, since {self.time[over[0]]:.3f} s" if over.size else ""
-
-    def held(self, cell: RobotCell) -> tuple[str, str]:
-        """Whether the palms held the object to the end; and the cause if they did not.
-
-        Friction may be used up for moments. The object is lost when a palm no longer presses.
-        """
-        if self.palm_use is None or self.moves == len(self.time):
-            return "the object did not move", ""
-        use = self.palm_use[self.moves :]
-        lost = np.flatnonzero(~np.isfinite(use).all(axis=1))
-        if not lost.size:
-            i, j = _largest(use)
-            return f"at most {100.0 * use[i, j]:.0f} % of a palm's friction ({cell.arm_names[j]})", ""
-        arm = cell.arm_names[int(np.argmax(~np.isfinite(use[lost[0]])))]
-        return f"arm {arm} let go", f"arm {arm}: friction, since {self.time[self.moves + lost[0]]:.3f} s"
-
-    def squeezed(self, cell: RobotCell) -> tuple[str, str]:
-        """The internal forces in motion in words; and the cause where they are too large."""
-        moving = self.internal[self.moves :]
-        if not moving.size:
-            return "the object did not move", ""
-        largest = moving.max(axis=1)
-        text = f"internal force ≤ {largest.max():.1f} N in motion"
-        text += f" (accepted: {self.internal_limit:g} N)" if np.isfinite(self.internal_limit) else ""
-        over = np.flatnonzero(largest > self.internal_limit)
-        if not over.size:
-            return text, ""
-        arm = cell.arm_names[int(moving[over[0]].argmax())]
-        return text, f"arm {arm}: internal force, since {self.time[self.moves + over[0]]:.3f} s"
-
-
-def _largest(rows: Array) -> tuple[int, int]:
-    i, j = np.unravel_index(int(rows.argmax()), rows.shape)
-    return int(i), int(j)
+    def checks(self, cell: RobotCell) -> list[Check]:
+        """The loads with their bounds: torques always, internal forces and palms where the object moves."""
+        moving = np.arange(len(self.time))[:, None] >= self.moves
+        palm_use = None if self.palm_use is None else np.where(moving, self.palm_use, 0.0)
+        return [
+            Check(ViolationKind.TORQUE, self.torque_use, 1.0, owners(cell)[0], "share of the limit"),
+            *wrench_checks(cell, np.where(moving, self.internal, 0.0), self.internal_limit, palm_use),
+        ]
 
 
 def read_loads(cell: RobotCell, recording: Recording) -> RunLoads | None:
@@ -123,13 +149,12 @@ def read_loads(cell: RobotCell, recording: Recording) -> RunLoads | None:
         use = np.abs(torques) / limits
     except (CoopqpError, TypeError, ValueError, OverflowError, AttributeError) as error:
         raise RecordingError(f"'load' in the recording's metadata is damaged ({error}).") from error
-    internal = internal_wrenches(wrenches, recording.grasp)
     moving = np.flatnonzero(recording.rate > 0.0)
     return RunLoads(
         time=recording.time[1:],
         torque_use=use,
-        internal=np.linalg.norm(internal[:, :, :3], axis=2),
+        internal=internal_forces(recording.grasp, wrenches),
         internal_limit=largest,
-        palm_use=None if palms is None else np.array([palm_use(palms, row) for row in wrenches]),
+        palm_use=None if palms is None else friction_use(palms, wrenches),
         moves=int(moving[0]) if moving.size else recording.n_steps,
     )
