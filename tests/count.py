@@ -38,7 +38,6 @@ NATIVE = (".c", ".h", ".cpp", ".hpp")
 CONSTANTS = "coopqp/core/constants.h"
 #: Files that only carry data to and from the compiled core.
 GLUE = (
-    "coopqp/control/step/decoding.py",
     "coopqp/control/core/__init__.py",
     "coopqp/control/core/loop.py",
     "coopqp/control/core/force_memory.py",

@@ -322,8 +322,8 @@ class Clearance:
         if self._moving:
             return None
         names = (
-            "positions", "command", "dt", "G", "lower", "upper", "soft", "owner", "knot_positions", "knot_slope",
-            "knot_curvature", "evading_positions", "evading_slope",
+            "positions", "command", "dt", "G", "lower", "upper", "soft", "owner", "node_positions", "node_slope",
+            "node_curvature", "evading_positions", "evading_slope",
         )  # fmt: skip
         quiet = "quiet_ahead" if ahead else "quiet"
         arrays = {name: memory[name] for name in names} | {

@@ -523,7 +523,7 @@ class QPController(OperatorCalls):
         """A step with wrenches, for :class:`coopqp.ForceController`: ``(q_measured, dt, wrenches) → ControlStep``.
 
         Args:
-            memory: numbers of ``Minding`` in ``minding.h``, and the vectors behind them.
+            memory: numbers of ``ForceRelaxation`` in ``force_relaxation.h``, and the vectors behind them.
             calls: ``before_forces`` of the same arguments, and ``after_forces`` of the step, where the core does not
                 let the grasps give way itself; ``tell`` of a step that forces have something to say of.
         """

@@ -1,7 +1,7 @@
 /* The memory of the look-ahead, and the functions that its files share.
  *
- * Knots lie in a ring, numbered from the one at or before the clock; `place` is where in the ring. `count` of them are
- * known. Behind these lie tentative ones: `way` knots of a way past a singularity, then the knot that is being tried. So
+ * Grid points lie in a ring, numbered from the one at or before the clock; `place` is where in the ring. `count` of them are
+ * known. Behind these lie tentative ones: `way` grid points of a way past a singularity, then the grid point that is being tried. So
  * all that a pause has to keep is in the state, and a copy of the state goes on as the original would. */
 
 #ifndef COOPQP_AHEAD_H
@@ -9,28 +9,28 @@
 
 #include "functions.h"
 
-/* Outcome of one Newton step at the tried knot. CANNOT_SAY: a user's path, or a further constraint, fails. */
+/* Outcome of one Newton step at the tried grid point. CANNOT_SAY: a user's path, or a further constraint, fails. */
 enum Trial { PENDING, REJECTED, FOUND, CANNOT_SAY };
 
-static int place_of(const Core *c, int i) { return ((int)c->ahead->head + i) % MOST_KNOTS; }
+static int place_of(const Core *c, int i) { return (c->ahead->head + i) % MOST_NODES; }
 
-static Knot *knot_in(const Core *c, int place) { return c->knots + place; }
+static Node *node_in(const Core *c, int place) { return c->nodes + place; }
 
-static Knot *knot(const Core *c, int i) { return knot_in(c, place_of(c, i)); }
+static Node *node(const Core *c, int i) { return node_in(c, place_of(c, i)); }
 
-/* Vectors of knot i: knot_positions, knot_slope, knot_curvature or knot_bending. */
+/* Vectors of grid point i: node_positions, node_slope, node_curvature or node_bending. */
 static double *vector_of(const Core *c, double *vectors, int i) {
     return vectors + (size_t)place_of(c, i) * (size_t)c->joints;
 }
 
-/* Joint motion from knot i to where each arm's reach ends. */
-static double *edges_of(const Core *c, int i) { return vector_of(c, c->knot_edges, i); }
+/* Joint motion from grid point i to where each arm's reach ends. */
+static double *edges_of(const Core *c, int i) { return vector_of(c, c->node_edges, i); }
 
-static void copy_knot(Core *c, int from, int to) {
+static void copy_node(Core *c, int from, int to) {
     const size_t bytes = sizeof(double) * (size_t)c->joints;
     if (from == to) return;
-    *knot(c, to) = *knot(c, from);
-    for (double *vectors : {c->knot_positions, c->knot_slope, c->knot_curvature, c->knot_bending, c->knot_edges})
+    *node(c, to) = *node(c, from);
+    for (double *vectors : {c->node_positions, c->node_slope, c->node_curvature, c->node_bending, c->node_edges})
         memcpy(vector_of(c, vectors, to), vector_of(c, vectors, from), bytes);
 }
 
@@ -48,30 +48,30 @@ static int arm_of(const Core *c, int joint) {
 
 /* -- sharing.cpp ---------------------------------------------------------------------------------------- */
 
-/* Largest z ≤ cap that some |u| ≤ slope_cap allows at knot i alone. */
+/* Largest z ≤ cap that some |u| ≤ slope_cap allows at grid point i alone. */
 static double largest_alone(const Core *c, int i);
-/* Largest z at knot i from which z at the next knot can be in [0, K there], and its slope over K there; the joint
+/* Largest z at grid point i from which z at the next grid point can be in [0, K there], and its slope over K there; the joint
  * whose acceleration makes it, or helps to, or −1. */
 static int find_share(Core *c, int i);
 
 /* -- horizon.cpp ---------------------------------------------------------------------------------------- */
 
-/* The first tentative knot becomes the last known one. */
-static void push_knot(Core *c);
-/* Nothing comes after the last knot. */
+/* The first tentative grid point becomes the last known one. */
+static void push_node(Core *c);
+/* Nothing comes after the last grid point. */
 static void finish_horizon(Core *c);
-/* Drop knots that another follows before `clock`. */
+/* Drop grid points that another follows before `clock`. */
 static void leave_behind(Core *c, double clock);
-/* Number of the last knot at or before `clock`. */
-static int knot_before(const Core *c, double clock);
+/* Number of the last grid point at or before `clock`. */
+static int node_before(const Core *c, double clock);
 /* Whether K is final along a step from `clock`: the end of the horizon does not make it. */
 static int reaches(const Core *c, double clock, double dt);
-/* q′ and q″ at a clock, from the knots around it. */
+/* q′ and q″ at a clock, from the grid points around it. */
 static void joints_at(const Core *c, double clock, double *slope, double *curvature);
 /* Clock until which the known horizon lets the object go on at full rate, less a margin. */
 static double free_until(const Core *c, double margin);
 
-/* The least K of a step, its slope over the step's rate, and the knot that makes it. */
+/* The least K of a step, its slope over the step's rate, and the grid point that makes it. */
 struct Least {
     double square, slope;
     int cause;
@@ -83,24 +83,24 @@ static double largest_rate(const Core *c, double clock, double dt, Least *least)
 
 /* Whether K admits a rate for a step already. */
 static int admits_rate(const Core *c, double clock, double dt, double rate);
-/* Whether K may come to admit a rate for a step as more knots become known. */
+/* Whether K may come to admit a rate for a step as more grid points become known. */
 static int may_admit(Core *c, double clock, double dt, double rate);
 
 /* -- chain_ahead.cpp ------------------------------------------------------------------------------------ */
 
-/* The knot at a clock, at the commanded positions, as the first tentative one; 0 if the path fails. */
-static int first_knot(Core *c, double clock);
-/* One Newton step at knot `made`, `span` after knot `last`; rejected if the arms or their slopes do not follow. */
-static Trial try_knot(Core *c, int last, int made, double span, int iteration);
-/* Where the twist jumps at knot i: slopes after it, and the rate at which the joints can take the jump; 0 if the path
+/* The grid point at a clock, at the commanded positions, as the first tentative one; 0 if the path fails. */
+static int first_node(Core *c, double clock);
+/* One Newton step at grid point `made`, `span` after grid point `last`; rejected if the arms or their slopes do not follow. */
+static Trial try_node(Core *c, int last, int made, double span, int iteration);
+/* Where the twist jumps at grid point i: slopes after it, and the rate at which the joints can take the jump; 0 if the path
  * fails. */
 static int turn_corner(Core *c, int i);
-/* Where the joints are expected a span after knot `last`: as q′ and q″ go on, or with the elbows that lead them. */
+/* Where the joints are expected a span after grid point `last`: as q′ and q″ go on, or with the elbows that lead them. */
 static void expect(const Core *c, int last, double span, double *x);
-/* The last known knot once more, as the first tentative one, where the path ends moving; 0 if that needs nothing. */
+/* The last known grid point once more, as the first tentative one, where the path ends moving; 0 if that needs nothing. */
 static int end_moving(Core *c);
 
-/* The arm that is at the end of its reach at knot i, or −1. */
+/* The arm that is at the end of its reach at grid point i, or −1. */
 static int stretched_arm(const Core *c, int i);
 
 /* -- redundancy.cpp ------------------------------------------------------------------------------------- */
@@ -110,10 +110,10 @@ static void lead_away(Core *c, int k, const double *jacobian, const double *posi
 
 /* -- growth.cpp ----------------------------------------------------------------------------------------- */
 
-/* One Newton step, so that no single control step has to make a whole knot; 0 where growth has to wait, −1 where the
+/* One Newton step, so that no single control step has to make a whole grid point; 0 where growth has to wait, −1 where the
  * look-ahead fails. */
 static int work_ahead(Core *c);
-/* A piece of work on bodies where the next knot is expected; 0 if there is nothing to do. */
+/* A piece of work on bodies where the next grid point is expected; 0 if there is nothing to do. */
 static int survey_ahead(Core *c);
 
 #endif

@@ -48,11 +48,11 @@ static void watch_chain(Core *c) {
     int arm = 0;
     if (n < 2) return;
     among_arms(c->errors, away);
-    if (c->loop->started == 0.0) { /* whatever there is now is a mismatch of the start */
+    if (!c->loop->started) { /* whatever there is now is a mismatch of the start */
         c->mismatch = away;
-        c->loop->mismatch = 1.0;
+        c->loop->has_mismatch = true;
     }
-    if (c->loop->mismatch != 0.0) without_mismatch(c, away);
+    if (c->loop->has_mismatch) without_mismatch(c, away);
     for (int k = 0; k < n; k++) { /* lengths at the grasps: displacement of their centre, and the turn about it */
         const Vector3 turn = away.col(k).tail<3>();
         away.col(k).head<3>() += c->at_grasps.block<3, 3>(3, 0).transpose() * turn;
@@ -61,32 +61,32 @@ static void watch_chain(Core *c) {
         if (!(square <= most * (ALIKE * ALIKE))) most = square, arm = k;
     }
     p->apart = sqrt(most) * n / (n - 1.0);
-    const double limit = c->options->apart_hold * (c->loop->chain_held != 0.0 ? TOGETHER_AGAIN : 1.0);
+    const double limit = c->options->apart_hold * (c->loop->chain_held ? TOGETHER_AGAIN : 1.0);
     p->chain_holds = !(p->apart <= limit);
-    if (p->apart <= SAID_APART || (p->reason != NO_REASON && !(p->watch_cap > 0.0 && p->chain_holds != 0.0))) return;
+    if (p->apart <= SAID_APART || (p->reason != NO_REASON && !(p->watch_cap > 0.0 && p->chain_holds))) return;
     const int other = furthest_from(away, arm), first = arm < other ? arm : other;
-    if (p->chain_holds != 0.0)
+    if (p->chain_holds)
         refuse(c, CHAIN_PARTED, first, p->apart);
     else
-        p->reason = CHAIN_APART, p->reason_arm = first, p->reason_a = p->apart;
+        p->reason = CHAIN_APART, p->reason_index = first, p->reason_a = p->apart;
     p->reason_b = arm + other - first;
 }
 
 /* Once a step is made. */
 static void chain_watched(Core *c) {
     const Proposal *p = c->proposal;
-    if (p->has_errors == 0.0) return;
-    c->loop->started = 1.0, c->loop->chain_held = p->chain_holds;
-    const int known = p->made != 0.0 && p->parting == 0.0 && p->braked == 0.0;
-    const int left = c->loop->mismatch != 0.0 && p->mismatched != 0.0;
+    if (!p->has_errors) return;
+    c->loop->started = true, c->loop->chain_held = p->chain_holds;
+    const int known = p->corrections_made && p->parting == 0.0 && !p->braked;
+    const int left = c->loop->has_mismatch && p->mismatched;
     const bool asked = known && asked_to_shift(c);
-    const double closes = known ? p->grasp_share * p->closes : 0.0;
+    const double closes = known ? p->grasp_share * p->closed_share : 0.0;
     if (left || asked) {
         c->mismatch *= left ? p->mismatch_left : 0.0;
         if (asked) c->mismatch += c->asked_shift;
         c->mismatch *= 1.0 - closes;
     }
-    c->loop->mismatch = left || asked, c->loop->shift_asked = 0.0;
+    c->loop->has_mismatch = left || asked, c->loop->has_asked_shift = false;
 }
 
 /* The grasps give way by other shifts: that parts the views of the object for a while, as it was asked for. */
@@ -95,12 +95,12 @@ static void expect_shift(Core *c, const Twists &shift) {
     if (!memcmp(c->grasp_shift, shift, 6 * sizeof(double) * (size_t)c->arms)) return;
     change = c->grasp_shift - shift;
     c->grasp_shift = shift;
-    if (c->loop->mismatch == 0.0) c->mismatch.setZero();
-    if (c->loop->shift_asked == 0.0) c->asked_shift.setZero();
+    if (!c->loop->has_mismatch) c->mismatch.setZero();
+    if (!c->loop->has_asked_shift) c->asked_shift.setZero();
     among_arms(change, change);
     c->mismatch += change;
     c->asked_shift -= change;
-    c->loop->mismatch = c->loop->shift_asked = 1.0;
+    c->loop->has_mismatch = c->loop->has_asked_shift = true;
 }
 
 static int move_grasp(Core *c, const double *numbers) {

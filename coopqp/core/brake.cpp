@@ -126,8 +126,8 @@ static void brake_now(Core *c) {
     floored_velocities(c, c->jacobian, w, path);
     path += self;
     double least = INFINITY;
-    p->grasp_share = p->path_share = 0.0, p->parting = 0.0, p->braked = 1.0, p->made = 0.0;
-    p->bindings = 0.0, p->binding_row = -1.0, p->new_rate = 0.0;
+    p->grasp_share = p->path_share = 0.0, p->parting = 0.0, p->braked = true, p->corrections_made = false;
+    p->bindings = 0, p->binding_row = -1, p->new_rate = 0.0;
     c->off_path.setZero();
     for (int hard = 1; hard >= 0 && least == INFINITY; hard--)
         for (const Vector *motion : {&path, &object})

@@ -163,7 +163,7 @@ static void name_brake(const Core *c, int number, double *entry) {
 
 /* Arms that give way have left their path, under acceleration limits. */
 static bool gives_way(const Core *c) {
-    return c->options->leaves_path != 0.0 && accelerates(c) && c->loop->correcting != 0.0;
+    return c->options->leaves_path && accelerates(c) && c->loop->corrects;
 }
 
 /* Add the rows that may bind the next velocities. */
@@ -220,6 +220,6 @@ static void brake_together(Core *c) {
         reach += fabs(G[j]) * reachable(c, j, h);
     }
     const double upper = max_of(sqrt(most_bent / used), 1.0 - h / T) * size;
-    const bool soft = gives_way(c) && c->proposal->hold == 0.0 && used <= BEND_GIVES_WAY_TO;
+    const bool soft = gives_way(c) && !c->proposal->hold && used <= BEND_GIVES_WAY_TO;
     if (reach > upper) add_row(c, -INFINITY, upper, c->arms + c->joints + worst, soft ? BEND_GIVES_WAY : GIVES_WAY);
 }

@@ -75,13 +75,13 @@ static double bound(const Core *c, double *twists, int n) {
 }
 
 /* Whether the grasps were asked to shift since the step before, by `asked_shift`, of which the errors foreseen did not know. */
-static bool asked_to_shift(const Core *c) { return c->loop->has_predicted != 0.0 && c->loop->shift_asked != 0.0; }
+static bool asked_to_shift(const Core *c) { return c->loop->has_predicted && c->loop->has_asked_shift; }
 
 /* c_k, c_p, and b_k: the error of the last linearisation; beyond what that step foresaw it is left over. Gains take away
  * no more than the whole error in a step. What was asked of the grasps is no error: it is made up for in this step. */
 static void corrections(Core *c, double h) {
     const double grasp_gain = min_of(c->options->grasp_gain, 1.0 / h), path_gain = min_of(c->options->path_gain, 1.0 / h);
-    const bool asked = asked_to_shift(c), predicted = c->loop->has_predicted != 0.0;
+    const bool asked = asked_to_shift(c), predicted = c->loop->has_predicted;
     const double per_step = 1.0 / c->loop->last_dt;
     c->common = common_error(c, c->errors);
     const Vector6 bend = predicted ? bend_of_errors(c->errors.col(0), c->predicted.col(0)) : Vector6::Zero();
@@ -100,8 +100,8 @@ static void corrections(Core *c, double h) {
         if (predicted) c->left_over.col(k) = c->offsets.col(k) - before;
         else c->left_over.col(k).setZero();
     }
-    c->path = -path_gain * (c->proposal->has_measured != 0.0 ? c->measured : c->common);
-    c->proposal->closes = h * grasp_gain / bound(c, c->grasp, c->arms);
+    c->path = -path_gain * (c->proposal->has_measured ? c->measured : c->common);
+    c->proposal->closed_share = h * grasp_gain / bound(c, c->grasp, c->arms);
     bound(c, c->path, 1);
 }
 
@@ -266,7 +266,7 @@ static void floored_inverse(const Columns &J, const Units &W, TallRows &P) {
 
 using OfJoints = Eigen::Map<Eigen::VectorXd>;
 
-/* Of one arm with n joints: velocities v0, v1 for the world twists w0, w1, near the null-space wishes u0, u1 of a redundant
+/* Of one arm with n joints: velocities v0, v1 for the world twists w0, w1, near the null-space references u0, u1 of a redundant
  * arm: v = u + A⁺(w − J u), A⁺ the right inverse of least Σ (v/scale)². Fewer than six joints make the closest twists that they
  * can. Returns the smallest pivot of A, or, of a redundant arm, the root of the smallest pivot of A Aᵀ; 0 if it is singular. */
 static double arm_velocities(const double *jacobian, const double *scale, int n, const Vector6 &w0, const Vector6 &w1,
@@ -356,16 +356,16 @@ static inline double near_or_far(const double *J, const double *scale, int n, co
     return least > 0.0 ? least : far_velocities(J, scale, n, w0, w1, u0, u1, v0, v1);
 }
 
-static const double no_wish[MOST_JOINTS] = {};
+static const double no_reference[MOST_JOINTS] = {};
 
-/* The same of an arm whose own joints are not in line; wishes and velocities are of all joints. */
+/* The same of an arm whose own joints are not in line; null-space references and velocities are of all joints. */
 static double gathered_velocities(const Core *c, const ArmJoints &a, const double *jacobian, const Vector6 &w0,
                                   const Vector6 &w1, const double *u0, const double *u1, double *v0, double *v1) {
-    double columns[6 * MOST_JOINTS], units[MOST_JOINTS], wishes[2][MOST_JOINTS], found[2][MOST_JOINTS];
+    double columns[6 * MOST_JOINTS], units[MOST_JOINTS], references[2][MOST_JOINTS], found[2][MOST_JOINTS];
     const double *J = side_by_side(a, jacobian, 6, columns), *scale = side_by_side(a, c->scale, 1, units);
-    const double *wish0 = u0 ? side_by_side(a, u0, 1, wishes[0]) : no_wish;
-    const double *wish1 = u1 ? side_by_side(a, u1, 1, wishes[1]) : no_wish;
-    const double least = near_or_far(J, scale, a.n, w0, w1, wish0, wish1, found[0], found[1]);
+    const double *reference0 = u0 ? side_by_side(a, u0, 1, references[0]) : no_reference;
+    const double *reference1 = u1 ? side_by_side(a, u1, 1, references[1]) : no_reference;
+    const double least = near_or_far(J, scale, a.n, w0, w1, reference0, reference1, found[0], found[1]);
     spread(a, found[0], v0), spread(a, found[1], v1);
     return least;
 }
@@ -375,15 +375,15 @@ static int two_velocities(Core *c, const double *jacobian, const Twists &w0, con
     for (int k = 0; k < c->arms; k++) {
         if (group_of(c, k)) continue;
         const ArmJoints &a = joints_of(c, k);
-        if (follows_way(c, k)) { /* it moves no object: its wishes are its motion */
+        if (follows_way(c, k)) { /* it moves no object: its null-space references are its motion */
             for (int i = 0; i < a.n; i++) v0[a.own(i)] = u0 ? u0[a.own(i)] : 0.0, v1[a.own(i)] = u1 ? u1[a.own(i)] : 0.0;
             c->least_pivot[k] = INFINITY;
             continue;
         }
         const Vector6 own = w0.col(k), second = own1 ? Vector6(Eigen::Map<const Vector6>(own1 + 6 * k)) : w1;
         const int j = a.start;
-        const double least = a.in_line ? near_or_far(jacobian + 6 * j, c->scale + j, a.n, own, second, u0 ? u0 + j : no_wish,
-                                                     u1 ? u1 + j : no_wish, v0 + j, v1 + j)
+        const double least = a.in_line ? near_or_far(jacobian + 6 * j, c->scale + j, a.n, own, second, u0 ? u0 + j : no_reference,
+                                                     u1 ? u1 + j : no_reference, v0 + j, v1 + j)
                                        : gathered_velocities(c, a, jacobian, own, second, u0, u1, v0, v1);
         if (!(least > 0.0)) return 0;
         c->least_pivot[k] = least;
@@ -406,15 +406,15 @@ static int nominal_command(Core *c, double cap) {
         if (moving) c->own_world.col(k) = turned(R, c->own_along.col(k));
     }
     if (c->redundant || any_follows_way(c)) {
-        Vector wish(c->scratch + 6 * c->arms, c->joints, 1);
-        wish = cap * c->null_along + c->null_offset;
-        u0 = wish, u1 = c->null_along;
+        Vector reference(c->scratch + 6 * c->arms, c->joints, 1);
+        reference = cap * c->null_along + c->null_offset;
+        u0 = reference, u1 = c->null_along;
     }
     return two_velocities(c, c->jacobian, w, turned(R, c->along), u0, u1, c->command, c->along_velocity,
                           moving ? (double *)c->own_world : nullptr);
 }
 
-/* -- wishes of redundant arms ---------------------------------------------------------------------------------------- */
+/* -- null-space references of redundant arms ---------------------------------------------------------------------------------------- */
 
 /* √det(J Jᵀ) of one arm */
 static double manipulability(const Core *c, int k, const double *positions, double *jacobian) {

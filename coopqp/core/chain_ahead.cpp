@@ -1,4 +1,4 @@
-/* The chain ahead of the clock: inverse kinematics and bounds of the rate at one clock, as a knot. */
+/* The chain ahead of the clock: inverse kinematics and bounds of the rate at one clock, as a grid point. */
 
 #include "ahead.h"
 
@@ -16,14 +16,14 @@ constexpr int EIGEN_STEPS = 3; /* of inverse iteration */
 constexpr double BEND_CHANGE = 0.3; /* intervals are halved where q″ changes by more than this share of the accelerations */
 /* Redundant arms come nearer to a given motion by this share per second of the clock [1/s] */
 constexpr double ELBOW_GAIN = 5.0;
-constexpr int MOST_TRIES = 4; /* Newton steps that a knot may take */
-constexpr int STARTING_STEPS = 8; /* Newton steps that the first knot may take */
+constexpr int MOST_TRIES = 4; /* Newton steps that a grid point may take */
+constexpr int STARTING_STEPS = 8; /* Newton steps that the first grid point may take */
 constexpr double CONVERGED = 1e-5; /* Newton steps shorter than this are the last [rad or m] */
 
 struct Sketch {
     Pose *carried;
     Twists errors, w, jacobian;
-    Vector step, wish, after;
+    Vector step, reference, after;
 };
 
 static Sketch sketch_of(const Core *c) {
@@ -36,7 +36,7 @@ static Sketch sketch_of(const Core *c) {
 /* Self-motion by which redundant arms keep clear of bodies; 0 if a constraint fails. */
 static int evade(Core *c, const double *positions, double *slope) {
     Vector own(slope, c->joints, 1);
-    if (!c->evade || (c->options->certified != 0.0 && quiet_ahead(c, positions))) return 1;
+    if (!c->evade || (c->options->certified && quiet_ahead(c, positions))) return 1;
     c->evading_positions = Given(positions, c->joints);
     c->evading_slope = own;
     if (!c->evade(c)) return 0;
@@ -52,15 +52,15 @@ typedef struct {
 
 static ElbowPiece elbow_piece(const Core *c, double clock) {
     const double *numbers = c->path_numbers, *t = numbers + 3 + (int)numbers[1] + SEGMENT * (int)numbers[2];
-    const int knots = (int)c->options->elbows, nv = c->joints;
+    const int nodes = c->options->elbows, nv = c->joints;
     int i = 0;
-    for (int n = knots - 1; n > 1;) { /* the last knot not after the clock, but the end of no piece */
+    for (int n = nodes - 1; n > 1;) { /* the last grid point not after the clock, but the end of no piece */
         const int half = n / 2;
         if (t[i + half] <= clock) i += half, n -= half;
         else n = half;
     }
-    const double h = t[i + 1] - t[i], *x = t + knots + i * nv;
-    return {x, x + knots * nv, h, minimum(maximum((clock - t[i]) / h, 0.0), 1.0)};
+    const double h = t[i + 1] - t[i], *x = t + nodes + i * nv;
+    return {x, x + nodes * nv, h, minimum(maximum((clock - t[i]) / h, 0.0), 1.0)};
 }
 
 static double elbow(const Core *c, ElbowPiece at, int j, double *speed) {
@@ -72,9 +72,9 @@ static double elbow(const Core *c, ElbowPiece at, int j, double *speed) {
 }
 
 /* Whether the elbows go where they are led to, and not away from bodies. */
-static int led(const Core *c) { return c->redundant && c->options->elbows > 0.0 && !c->evade; }
+static int led(const Core *c) { return c->redundant && c->options->elbows > 0 && !c->evade; }
 
-/* Velocities wished for in the null-space at a clock: along the motion of the elbows half a span later. */
+/* Velocities asked for in the null-space at a clock: along the motion of the elbows half a span later. */
 static void elbow_velocity(const Core *c, double clock, double span, const double *positions, double *v) {
     const ElbowPiece at = elbow_piece(c, clock), later = elbow_piece(c, clock + 0.5 * span);
     for (int j = 0; j < c->joints; j++) {
@@ -86,8 +86,8 @@ static void elbow_velocity(const Core *c, double clock, double span, const doubl
 }
 
 static void expect(const Core *c, int last, double span, double *x) {
-    const Knot *from = knot(c, last);
-    const double *x0 = vector_of(c, c->knot_positions, last);
+    const Node *from = node(c, last);
+    const double *x0 = vector_of(c, c->node_positions, last);
     if (led(c)) {
         const ElbowPiece then = elbow_piece(c, from->clock), now = elbow_piece(c, from->clock + span);
         const double pull = minimum(ELBOW_GAIN * span, 1.0);
@@ -98,9 +98,9 @@ static void expect(const Core *c, int last, double span, double *x) {
         }
         return;
     }
-    const double *slope = vector_of(c, c->knot_slope, last), *curvature = vector_of(c, c->knot_curvature, last);
-    const double *bending = vector_of(c, c->knot_bending, last);
-    const double bends = from->corner == 0.0 ? 0.5 * span : 0.0, bends_more = bends * (0.5 * from->span + span / 3.0);
+    const double *slope = vector_of(c, c->node_slope, last), *curvature = vector_of(c, c->node_curvature, last);
+    const double *bending = vector_of(c, c->node_bending, last);
+    const double bends = !from->corner ? 0.5 * span : 0.0, bends_more = bends * (0.5 * from->span + span / 3.0);
     for (int j = 0; j < c->joints; j++)
         x[j] = x0[j] + (curvature[j] * bends + bending[j] * bends_more + slope[j]) * span;
 }
@@ -119,13 +119,13 @@ static Trial newton_step(Core *c, double clock, double before, const double *pos
     if (!errors_at(c, s.carried, T, s.errors)) return REJECTED;
     for (int k = 0; k < c->arms; k++) s.w.col(k) = turned(T.R, -s.errors.col(k)); /* w_k = −R e_k */
     for (int k = 0; moving && k < c->arms; k++) c->own_world.col(k) = turned(T.R, twist + twist_on_object(c, k, then));
-    if (c->redundant && c->options->elbows > 0.0) elbow_velocity(c, clock, 0.0, positions, s.wish);
-    else if (c->redundant) posture_velocity(c, positions, s.wish);
-    if (!two_velocities(c, s.jacobian, s.w, turned(T.R, twist), nullptr, c->redundant ? (double *)s.wish : nullptr, step,
+    if (c->redundant && c->options->elbows > 0) elbow_velocity(c, clock, 0.0, positions, s.reference);
+    else if (c->redundant) posture_velocity(c, positions, s.reference);
+    if (!two_velocities(c, s.jacobian, s.w, turned(T.R, twist), nullptr, c->redundant ? (double *)s.reference : nullptr, step,
                         slope, moving ? (double *)c->own_world : nullptr))
         return REJECTED;
     if (c->redundant && !evade(c, positions, slope)) return CANNOT_SAY;
-    for (int k = 0; c->redundant && !(c->options->elbows > 0.0) && k < c->arms; k++)
+    for (int k = 0; c->redundant && !(c->options->elbows > 0) && k < c->arms; k++)
         if (leads_group(c, k) && (joints_of(c, k).n > 6 || group_of(c, k))) lead_away(c, k, s.jacobian, positions, slope);
     if (moving) along_ways(c, clock, before, positions, step, slope);
     for (int j = 0; j < c->joints; j++) size += step[j] * step[j] + slope[j] * slope[j];
@@ -215,7 +215,7 @@ static void find_group_edge(const Core *c, const Group &g, const Twists &jacobia
     for (int j = 0; j < g.joints; j++) edge[g.joint[j]] *= way;
 }
 
-/* The edges of knot i, from the Jacobians of the latest Newton step; those that are far need not be exact. */
+/* The edges of grid point i, from the Jacobians of the latest Newton step; those that are far need not be exact. */
 static void find_edges(const Core *c, int i) {
     double *edges = edges_of(c, i);
     for (int k = 0; k < c->arms; k++) {
@@ -251,7 +251,7 @@ static double room_of(const Core *c, int k, const double *edges) {
     return room;
 }
 
-/* The arm that is at the end of its reach at knot i, or −1; of a group its first one. */
+/* The arm that is at the end of its reach at grid point i, or −1; of a group its first one. */
 static int stretched_arm(const Core *c, int i) {
     double least = 2.0;
     int arm = -1;
@@ -301,16 +301,16 @@ static double against_each_other(const Core *c, const double *slope) {
     return most;
 }
 
-/* Bounds of knot i from its positions and slope, and the slope of the knot before (−1 for none); 0 if they overflow. */
+/* Bounds of grid point i from its positions and slope, and the slope of the grid point before (−1 for none); 0 if they overflow. */
 static int bound_by_limits(Core *c, int before, int i, double clock, double span) {
     const Options *o = c->options;
-    const double *slope = vector_of(c, c->knot_slope, i), *x = vector_of(c, c->knot_positions, i);
-    const double *then = before < 0 ? slope : vector_of(c, c->knot_slope, before);
-    Knot *k = knot(c, i);
-    double *curvature = vector_of(c, c->knot_curvature, i), *bending = vector_of(c, c->knot_bending, i);
-    const double *bent = before < 0 ? curvature : vector_of(c, c->knot_curvature, before);
-    const int goes_on = before >= 0 && knot(c, before)->span > 0.0 && knot(c, before)->corner == 0.0;
-    const double per = goes_on ? 2.0 / (span + knot(c, before)->span) : 0.0;
+    const double *slope = vector_of(c, c->node_slope, i), *x = vector_of(c, c->node_positions, i);
+    const double *then = before < 0 ? slope : vector_of(c, c->node_slope, before);
+    Node *k = node(c, i);
+    double *curvature = vector_of(c, c->node_curvature, i), *bending = vector_of(c, c->node_bending, i);
+    const double *bent = before < 0 ? curvature : vector_of(c, c->node_curvature, before);
+    const int goes_on = before >= 0 && node(c, before)->span > 0.0 && !node(c, before)->corner;
+    const double per = goes_on ? 2.0 / (span + node(c, before)->span) : 0.0;
     double fastest = 0.0, change = -INFINITY, by_speed = 0.0, by_bend = 0.0;
     int j_speed = 0, j_bend = 0, inside = 1;
     for (int j = 0; j < c->joints; j++) {
@@ -327,9 +327,9 @@ static int bound_by_limits(Core *c, int before, int i, double clock, double span
         inside &= x[j] <= c->high[j] && x[j] >= c->low[j];
     }
     /* Without acceleration limits the step itself finds the cap by speed; below the cap by curvature it changes slowly. */
-    const int capped = o->caps_speed != 0.0;
+    const int capped = o->caps_speed;
     const double square = by_speed * by_speed, cap = 1.0 / maximum(capped ? square : by_bend, 1.0);
-    *k = Knot();
+    *k = Node();
     k->clock = clock;
     k->span = before < 0 ? 0.0 : span;
     k->cap = cap;
@@ -337,9 +337,9 @@ static int bound_by_limits(Core *c, int before, int i, double clock, double span
     if (k->uncapped < o->singular_rate * o->singular_rate)
         k->uncapped = maximum(k->uncapped, 1.0 / against_each_other(c, slope));
     k->fastest = fastest;
-    k->change = change;
+    k->slope_excess = change;
     k->inside = inside;
-    k->fall = k->rise = k->since = INFINITY;
+    k->fall = k->rise = k->line_from = INFINITY;
     name_cause(k->limit, NONE, -1, -1);
     name_cause(k->cause, NONE, -1, -1);
     const int j = capped ? j_speed : j_bend;
@@ -347,56 +347,56 @@ static int bound_by_limits(Core *c, int before, int i, double clock, double span
     return cap > 0.0;
 }
 
-/* Put a knot under the further constraints; rejected if one allows no rate there: its number and the clock are kept. */
+/* Put a grid point under the further constraints; rejected if one allows no rate there: its number and the clock are kept. */
 static Trial constrain(Core *c, int made) {
-    Knot *k = knot(c, made);
-    if (!c->bound_knot) return FOUND;
-    const double *x = vector_of(c, c->knot_positions, made), *slope = vector_of(c, c->knot_slope, made);
-    if (c->options->certified != 0.0 && quiet_knot(c, x, slope, vector_of(c, c->knot_curvature, made), k->span))
+    Node *k = node(c, made);
+    if (!c->bound_node) return FOUND;
+    const double *x = vector_of(c, c->node_positions, made), *slope = vector_of(c, c->node_slope, made);
+    if (c->options->certified && quiet_node(c, x, slope, vector_of(c, c->node_curvature, made), k->span))
         return FOUND;
-    if (c->bound_knot(c, place_of(c, made))) return FOUND;
+    if (c->bound_node(c, place_of(c, made))) return FOUND;
     if (isnan(k->cap)) return CANNOT_SAY;
-    c->ahead->beyond = 1 + k->limit.joint;
-    c->ahead->beyond_at = k->clock;
+    c->ahead->blocked_by = 1 + k->limit.joint;
+    c->ahead->blocked_at = k->clock;
     return REJECTED;
 }
 
-/* Whether q″ has changed by a small share of the accelerations between the intervals before two knots; of fine ones, where
+/* Whether q″ has changed by a small share of the accelerations between the intervals before two grid points; of fine ones, where
  * the object creeps. */
 static int bends_slowly(const Core *c, int last, int made) {
-    const Knot *k = knot(c, last);
-    const double span = knot(c, made)->span, cap = knot(c, made)->cap;
+    const Node *k = node(c, last);
+    const double span = node(c, made)->span, cap = node(c, made)->cap;
     const double least = maximum(FINE_CELL * sqrt(cap), 2.0 * c->options->shortest);
     const int fine = span <= FINE_CELL;
-    if (k->span == 0.0 || k->corner != 0.0 || (fine && !(span > least))) return 1;
-    const double *bend = vector_of(c, c->knot_curvature, made), *before = vector_of(c, c->knot_curvature, last);
+    if (k->span == 0.0 || k->corner || (fine && !(span > least))) return 1;
+    const double *bend = vector_of(c, c->node_curvature, made), *before = vector_of(c, c->node_curvature, last);
     double change = 0.0;
     for (int j = 0; j < c->joints; j++) change = maximum(change, fabs(bend[j] - before[j]) / c->plan_acceleration[j]);
     if (fine) return c->users_path || change * cap <= FINE_BEND; /* a user's path is asked rarely */
     return change <= BEND_CHANGE || change * largest_alone(c, made) <= BEND_CHANGE;
 }
 
-static Trial try_knot(Core *c, int last, int made, double span, int iteration) {
-    const Knot *from = knot(c, last);
+static Trial try_node(Core *c, int last, int made, double span, int iteration) {
+    const Node *from = node(c, last);
     const Options *o = c->options;
     const double clock = from->clock + span;
-    double *x = vector_of(c, c->knot_positions, made), *step = sketch_of(c).step;
+    double *x = vector_of(c, c->node_positions, made), *step = sketch_of(c).step;
     if (iteration == 0) expect(c, last, span, x);
-    const Trial found = newton_step(c, clock, JUST_BEFORE, x, step, vector_of(c, c->knot_slope, made));
+    const Trial found = newton_step(c, clock, JUST_BEFORE, x, step, vector_of(c, c->node_slope, made));
     if (found != FOUND) return found;
     const double largest = largest_size(step, c->joints);
     if (!(largest < o->joint_step)) return REJECTED;
     for (int j = 0; j < c->joints; j++) x[j] += step[j];
     if (!(largest < CONVERGED)) return iteration + 1 < MOST_TRIES ? PENDING : REJECTED;
     if (cannot_follow(c, sketch_of(c).errors)) {
-        c->ahead->blind = 1.0;
+        c->ahead->blind = true;
         return REJECTED;
     }
     if (!bound_by_limits(c, last, made, clock, span)) return REJECTED;
-    const Knot *k = knot(c, made);
+    const Node *k = node(c, made);
     if (span > o->shortest && !(span * k->fastest <= 1.5 * o->joint_step)) return REJECTED;
     const double most = span > FINE_CELL ? o->slope_step : OTHER_BRANCH;
-    if (span > o->shortest && !(k->change <= most * k->fastest)) return REJECTED;
+    if (span > o->shortest && !(k->slope_excess <= most * k->fastest)) return REJECTED;
     if (!bends_slowly(c, last, made)) return REJECTED;
     find_edges(c, made);
     if (ends_reach(c, last, made)) return REJECTED;
@@ -416,12 +416,12 @@ static double jump_cap(const Core *c, const double *after, const double *before,
     return least * least;
 }
 
-/* Where the twist jumps at knot i: slopes after it, and the rate at which the joints can take the jump. */
+/* Where the twist jumps at grid point i: slopes after it, and the rate at which the joints can take the jump. */
 static int turn_corner(Core *c, int i) {
     Sketch s = sketch_of(c);
-    Knot *k = knot(c, i);
-    double *slope = vector_of(c, c->knot_slope, i);
-    const double clock = k->clock + 1e-9, *x = vector_of(c, c->knot_positions, i);
+    Node *k = node(c, i);
+    double *slope = vector_of(c, c->node_slope, i);
+    const double clock = k->clock + 1e-9, *x = vector_of(c, c->node_positions, i);
     const Trial found = newton_step(c, clock, JUST_BEFORE, x, s.step, s.after);
     if (found == CANNOT_SAY) return 0;
     if (found != FOUND) s.after.setZero();
@@ -443,22 +443,22 @@ static int turn_corner(Core *c, int i) {
         }
     }
     Vector(slope, c->joints, 1) = s.after;
-    k->corner = 1.0;
+    k->corner = true;
     k->fastest = largest_size(slope, c->joints);
     return 1;
 }
 
 /* Where the path ends moving the joints have one step to stop in. */
 static int end_moving(Core *c) {
-    const int last = (int)c->ahead->count - 1;
+    const int last = c->ahead->count - 1;
     int joint;
     if (!accelerates(c)) return 0;
-    const double cap = jump_cap(c, nullptr, vector_of(c, c->knot_slope, last), &joint);
-    if (!(cap < knot(c, last)->cap)) return 0;
-    copy_knot(c, last, last + 1);
-    knot(c, last + 1)->cap = cap;
-    knot(c, last + 1)->span = 0.0;
-    name_cause(knot(c, last + 1)->limit, PATH_END, -1, -1);
+    const double cap = jump_cap(c, nullptr, vector_of(c, c->node_slope, last), &joint);
+    if (!(cap < node(c, last)->cap)) return 0;
+    copy_node(c, last, last + 1);
+    node(c, last + 1)->cap = cap;
+    node(c, last + 1)->span = 0.0;
+    name_cause(node(c, last + 1)->limit, PATH_END, -1, -1);
     return 1;
 }
 
@@ -487,16 +487,16 @@ static int reach_pose(Core *c, const Pose &T, double *x) {
 }
 
 /* The object rests there if the chain does not reach it. */
-static int first_knot(Core *c, double clock) {
+static int first_node(Core *c, double clock) {
     Pose T;
-    Vector x(vector_of(c, c->knot_positions, 0), c->joints, 1), slope(vector_of(c, c->knot_slope, 0), c->joints, 1);
+    Vector x(vector_of(c, c->node_positions, 0), c->joints, 1), slope(vector_of(c, c->node_slope, 0), c->joints, 1);
     if (!path_pose(c, clock, T)) return 0;
     if (grasps_move(c)) place_grasps(c, minimum(clock, c->duration), c->ahead_shift);
     x = c->positions;
     int arm = reach_pose(c, T, x);
     slope.setZero();
     c->ahead->blind = cannot_follow(c, sketch_of(c).errors);
-    if (c->ahead->blind != 0.0) arm = -1;
+    if (c->ahead->blind) arm = -1;
     if (arm >= 0) c->least_pivot.setZero();
     if (arm < 0) {
         const Trial found = newton_step(c, clock, 0.0, x, sketch_of(c).step, slope);
@@ -506,7 +506,7 @@ static int first_knot(Core *c, double clock) {
     find_edges(c, 0);
     bound_by_limits(c, -1, 0, clock, 1.0);
     if (arm < 0) return 1;
-    knot(c, 0)->cap = 0.0;
-    name_cause(knot(c, 0)->limit, REACH, arm, -1);
+    node(c, 0)->cap = 0.0;
+    name_cause(node(c, 0)->limit, REACH, arm, -1);
     return 1;
 }

@@ -34,8 +34,8 @@ constexpr double HELD_SHARE = 0.5; /* each step to this share of the speed befor
 /* -- clearances of bodies -------------------------------------------------------------------------------------------- */
 constexpr double WATCHED = 0.1; /* pairs are asked within this of their margin in a step at most [m], */
 constexpr double WATCHED_BLIND = 0.3; /* and within this where nothing is known ahead */
-constexpr double BEND_SAMPLE = 5e-4; /* a pair is asked between knots or at a step's end where its bodies move by more [m] */
-constexpr double BENT_WAY = 1.02; /* the joints' way between knots is no longer than this many times the straight one */
+constexpr double BEND_SAMPLE = 5e-4; /* a pair is asked between grid points or at a step's end where its bodies move by more [m] */
+constexpr double BENT_WAY = 1.02; /* the joints' way between grid points is no longer than this many times the straight one */
 constexpr double STANDING = 1e-9; /* a distance that falls by less stands still [m] */
 constexpr double LEAST_CLEARANCE = 1e-9; /* a clearance that counts as none [m] */
 constexpr double DEEPEST = -1.0; /* where bodies overlap coal's search may fail, and answers the smallest number that there is [m] */
@@ -89,10 +89,10 @@ constexpr double SOFTEST = 0.05; /* servos count as no softer than this share of
 /* -- forces from the sensors ----------------------------------------------------------------------------------------- */
 constexpr double LONGEST_LAG = 0.15; /* servos and sensors answer no later than this [s] */
 constexpr double LOOK_EVERY = 0.1; /* time between two looks at the compliances, which change with the configuration [s] */
-constexpr int MOST_MINDING = 64; /* arms whose forces are relaxed, at most */
+constexpr int MOST_RELAXING = 64; /* arms whose forces are relaxed, at most */
 
 /* -- sizes of the memory --------------------------------------------------------------------------------------------- */
-constexpr int MOST_KNOTS = 1024; /* that the look-ahead keeps */
+constexpr int MOST_NODES = 1024; /* that the look-ahead keeps */
 constexpr int MOST_TRAVELS = 32; /* ends of steps that are kept for the trail until it is read */
 constexpr int MOST_JOINTS = 64; /* of an arm */
 constexpr int MOST_SHARING = 8; /* arms of one group, which share joints, */

@@ -14,11 +14,11 @@
  *   braking.cpp      rows that brake all arms together where nothing is known ahead
  *   self_motion.cpp  what self-motion costs where limits bind
  *   preview.cpp      the path ahead of the clock, with       step.cpp         observe, propose, commit
- *     horizon.cpp      knots, the largest rate at each         growth.cpp       more of them, one Newton step at a time
+ *     horizon.cpp      grid points, the largest rate at each         growth.cpp       more of them, one Newton step at a time
  *     sharing.cpp      programs of the accelerations           chain_ahead.cpp  the chain at one clock
  *     redundancy.cpp   self-motion at position limits        servo.cpp        new targets
  *     quiet.cpp        where further constraints are quiet
- *   minding.h        forces between the arms, with           relax.cpp        wrenches, and grasps that give way
+ *   force_relaxation.h        forces between the arms, with           relax.cpp        wrenches, and grasps that give way
  *     allow.cpp        how fast the object may move for them
  */
 
@@ -34,7 +34,7 @@
 #include <utility>
 
 #include "memory.h"
-#include "minding.h"
+#include "force_relaxation.h"
 #include "views.h"
 
 /* Unknowns of the condensed QP but for null-space motions: off-path twist, rate, shares of both corrections. */
@@ -80,7 +80,7 @@ struct Core {
     int given_rows = 0, further_rows = 0; /* of this step: by constraints, and with those that brake all arms together */
     bool asks_rows = false; /* constraints have rows */
     bool contact_due = false, was_drifted = false; /* a change of contact is not taken yet; measurements had come before it */
-    int knot_asked = 0, surveyed = 0; /* in this step: what bodies bound at a knot, a piece of what they ask for ahead */
+    int node_asked = 0, surveyed = 0; /* in this step: what bodies bound at a grid point, a piece of what they ask for ahead */
     int asked = 0;        /* how often a user's path was asked for what is ahead */
     /* The path: duration, number of breakpoints, number of segments, breakpoints, segments of 29 numbers in the order of
      * their starts. A path without segments is known to own_path. */
@@ -89,11 +89,11 @@ struct Core {
     const double *shifts = nullptr; /* of the path, in their order: SHIFT numbers each, see paths.cpp */
     int shift_count = 0;
     const double *grasp_numbers = nullptr; /* how the tools move on the object, see grasps.cpp; nullptr where they are fixed */
-    Minding *minding = nullptr; /* of the forces between the arms, see minding.h; nullptr where nobody minds them */
+    ForceRelaxation *relaxation = nullptr; /* of the forces between the arms, see force_relaxation.h; nullptr where nobody relaxes them */
     /* Calls into Python; 0 if they fail. The pose comes into `own_pose`, or with `twist` six numbers. */
     int (*own_path)(Core *c, double clock, int twist) = nullptr;
-    /* May lower cap and decrease of a new knot; nullptr for none. `slot` is its place in the ring. */
-    int (*bound_knot)(Core *c, int slot) = nullptr;
+    /* May lower cap and decrease of a new grid point; nullptr for none. `slot` is its place in the ring. */
+    int (*bound_node)(Core *c, int slot) = nullptr;
     /* May add self-motion to `evading_slope` at `evading_positions`; nullptr for none. 0 if it fails. */
     int (*evade)(Core *c) = nullptr;
     /* Another solver answers the QP whose base and columns are filled in, into `x` and `pull`; 0 if it has no answer. */
@@ -101,16 +101,16 @@ struct Core {
     int width = 0; /* columns of the QP: of its unknowns, and of those by which the chain may part */
     /* Asks further constraints, whose rows go into the memory: one that fails makes the step hold. */
     long (*ask)(Core *c, Question question) = nullptr;
-    /* Does a piece of what bodies ask for where the next knot is expected, in `evading_positions`, with the slope of the
+    /* Does a piece of what bodies ask for where the next grid point is expected, in `evading_positions`, with the slope of the
      * last one in `evading_slope`; nullptr for none. 0 if there is nothing to do. */
     int (*survey_ahead)(Core *c) = nullptr;
 };
 
 /* Something is known ahead of a step. */
-static inline bool sees(const Core *c) { return c->looks_ahead && c->ahead->blind == 0.0; }
+static inline bool sees(const Core *c) { return c->looks_ahead && !c->ahead->blind; }
 
 /* Some joint has an acceleration limit. */
-static inline bool accelerates(const Core *c) { return c->options->accelerates != 0.0; }
+static inline bool accelerates(const Core *c) { return c->options->accelerates; }
 
 /* Rows that constraints may give; those that brake all arms together come after them. */
 static inline long most_given(const Core *c) { return c->rows - (1 + c->arms + c->joints); }
@@ -128,17 +128,17 @@ struct Arithmetic {
     double (*try_step)(Core *c);
     int (*jumps)(const Core *c, const double *velocity);
     int (*move_grasp)(Core *c, const double *shift);
-    void (*mind)(Core *c, const double *wrenches, double dt);
-    void (*minded)(Core *c);
+    void (*relax_before_step)(Core *c, const double *wrenches, double dt);
+    void (*relax_after_step)(Core *c);
     void (*linearise)(const Core *c, const double *positions, const Vector3 &about, Pose *carried, double *jacobian);
     int (*least_distance)(int n, int m, const double *A, const double *low, const double *high, const double *lb,
                           const double *ub, double reach, double *x, double *y, double *work);
-    /* Go over to the way to a new target if the rate of its first step need not fall, or where the object rests: 1, with
+    /* Retarget to the way to a new target if the rate of its first step need not fall, or where the object rests: 1, with
      * the path in `numbers`; 0 if not yet. `rate` is the largest one asked for. */
-    int (*go_over)(Core *c, const double *goal, double speed, double spin, double rate, double *numbers);
+    int (*retarget)(Core *c, const double *goal, double speed, double spin, double rate, double *numbers);
     /* The relaxation of forces, in its own memory; see relax.cpp and allow.cpp. `wrenches` may be nullptr. */
-    Hearing (*relax)(int arms, Minding *m, const double *wrenches, double dt);
-    void (*allow)(int arms, Minding *m, double dt);
+    Hearing (*relax)(int arms, ForceRelaxation *m, const double *wrenches, double dt);
+    void (*allow)(int arms, ForceRelaxation *m, double dt);
 };
 
 namespace plain {

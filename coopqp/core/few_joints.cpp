@@ -105,7 +105,7 @@ static void follow_part(Core *c) {
     bring_closest(c, inverse, c->grasp);
     bring_closest(c, inverse, c->offsets);
     bring_closest(c, inverse, c->foresees);
-    c->proposal->closes = 0.0;
+    c->proposal->closed_share = 0.0;
 }
 
 /* Whether the errors of the latest Newton step are too large for arms with few joints: they cannot follow the path. */

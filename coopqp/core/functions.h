@@ -39,7 +39,7 @@ static inline bool leads_group(const Core *c, int k) { return !group_of(c, k) ||
 /* -- kinematics.cpp ------------------------------------------------------------------------------------ */
 
 /* Positions close to these are cheap from now on. */
-static void stay_near(Core *c, const double *positions, double most);
+static void keep_sines(Core *c, const double *positions, double most);
 /* O_k: the object as each arm carries it. */
 static void carry(const Core *c, const double *positions, Pose *carried);
 /* The same and J (6, joints): twist of the object as carried, at the point `about`, in world axes. */
@@ -102,7 +102,7 @@ static Vector6 bend_of_errors(const Vector6 &error, const Vector6 &later);
 /* ē = Σ W_k e_k */
 static Vector6 common_error(const Core *c, const Twists &errors);
 /* Joint velocities v0, v1 for world twists about the point of the Jacobian: w0 has one per arm, w1 is common to all unless
- * `own1` has one per arm (6 arms); near the null-space wishes u0, u1 (nullptr for none). 0 if an arm is singular; the
+ * `own1` has one per arm (6 arms); near the null-space references u0, u1 (nullptr for none). 0 if an arm is singular; the
  * smallest pivots are kept. */
 static int two_velocities(Core *c, const double *jacobian, const Twists &w0, const Vector6 &w1, const double *u0,
                           const double *u1, double *v0, double *v1, const double *own1 = nullptr);
@@ -110,7 +110,7 @@ static int two_velocities(Core *c, const double *jacobian, const Twists &w0, con
 /* -- groups.cpp ---------------------------------------------------------------------------------------- */
 
 /* two_velocities of one group; w0 is nullptr for no twist, w1 one for all arms, or with `own` one per arm (6 arms). Velocities
- * and wishes are of all joints of the cell, of which it reads and writes the group's. 0 if the group is singular; the smallest
+ * and null-space references are of all joints of the cell, of which it reads and writes the group's. 0 if the group is singular; the smallest
  * pivots are kept, 0 where an arm is singular and its group is not. */
 static int group_velocities(Core *c, const Group &g, const double *jacobian, const double *w0, const double *w1, bool own,
                             const double *u0, const double *u1, double *v0, double *v1);
@@ -143,17 +143,17 @@ static int move_grasp(Core *c, const double *shift);
 static int quiet_step(const Core *c);
 /* No further constraint asks for anything ahead at x. */
 static int quiet_ahead(const Core *c, const double *x);
-/* No further constraint stops the object between the knot before and one at x, `span` after it. */
-static int quiet_knot(Core *c, const double *x, const double *slope, const double *curvature, double span);
+/* No further constraint stops the object between the grid point before and one at x, `span` after it. */
+static int quiet_node(Core *c, const double *x, const double *slope, const double *curvature, double span);
 
 /* -- preview.cpp --------------------------------------------------------------------------------------- */
 
 /* Start at the commanded positions, on or near the path, and look ahead as far as a step needs; `later`: that is left
  * to the steps. */
 static void preview_reset(Core *c, double clock, int later);
-/* The first knot alone, behind `kept` knots, which stay in the ring: a copy of AHEAD goes on with them. */
+/* The first grid point alone, behind `kept` grid points, which stay in the ring: a copy of AHEAD goes on with them. */
 static void preview_try(Core *c, double clock, int kept);
-/* Some more knots, with so many Newton steps left: 1 where further ones are needed for a first step to keep to a rate, 0
+/* Some more grid points, with so many Newton steps left: 1 where further ones are needed for a first step to keep to a rate, 0
  * where not; −1 where that is certain not to keep to it. */
 static int preview_grow(Core *c, double clock, double rate, int *steps);
 /* Largest admissible rate at `clock` for a step of dt; 1 where more than `most` is known to be admissible. The cause of
@@ -168,7 +168,7 @@ static void preview_reference(Core *c, double clock, double *positions, double *
 
 /* -- posture (chain.cpp) ------------------------------------------------------------------------------- */
 
-/* Velocities that redundant arms wish for at these positions. */
+/* Velocities that redundant arms ask for at these positions. */
 static void posture_velocity(Core *c, const double *positions, double *v);
 
 /* -- step.cpp ------------------------------------------------------------------------------------------ */

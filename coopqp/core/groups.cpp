@@ -42,7 +42,7 @@ static GroupVector gathered(const Group &g, const double *of) {
     return out;
 }
 
-/* What group_velocities was given, a pair of each: twists and wishes, nullptr for none. */
+/* What group_velocities was given, a pair of each: twists and null-space references, nullptr for none. */
 struct TwoWishes {
     const double *w[2], *u[2];
     bool own; /* the second twist, too, is of each arm */
@@ -65,7 +65,7 @@ static inline double dot(const double *a, const double *b, int n) {
     return sum;
 }
 
-/* t and C of a group's arm m, A⁺ [w₀ w₁ B] near its wishes, B the columns of the shared joints that move its tool; their part of
+/* t and C of a group's arm m, A⁺ [w₀ w₁ B] near its null-space references, B the columns of the shared joints that move its tool; their part of
  * S and x. For so many shared, and own joints, 0 for any number. False if the arm is near a singularity. */
 template <int SHARED, int OWN>
 static bool add_arm(Core *c, const Group &g, int m, const double *jacobian, const TwoWishes &given, OwnColumns &X,
@@ -76,9 +76,9 @@ static bool add_arm(Core *c, const Group &g, int m, const double *jacobian, cons
     const int n = OWN > 0 ? OWN : joints.n;
     double columns[6 * MOST_JOINTS], room[3][MOST_JOINTS];
     const double *own = side_by_side(joints, jacobian, 6, columns), *scale = side_by_side(joints, c->scale, 1, room[2]);
-    const double *wishes[2];
+    const double *references[2];
     for (int side = 0; side < 2; side++)
-        wishes[side] = given.u[side] ? side_by_side(joints, given.u[side], 1, room[side]) : nullptr;
+        references[side] = given.u[side] ? side_by_side(joints, given.u[side], 1, room[side]) : nullptr;
     Vector6 twists[2] = {given.twist(0, k), given.twist(1, k)};
     ArmColumns weighted;
     Rows<PAIRS> A;
@@ -88,7 +88,7 @@ static bool add_arm(Core *c, const Group &g, int m, const double *jacobian, cons
         weighted = J * Given(scale, n).cwiseAbs2().asDiagonal();
         gram6<PAIRS>(own, scale, n, A);
         for (int side = 0; side < 2; side++)
-            if (wishes[side]) twists[side] -= J.lazyProduct(Given(wishes[side], n));
+            if (references[side]) twists[side] -= J.lazyProduct(Given(references[side], n));
     }
     for (int i = 0; i < 6; i++) {
         for (int j = 0; OWN == 6 && j < 6; j++) put(i, j, own[6 * j + i]);
@@ -106,7 +106,7 @@ static bool add_arm(Core *c, const Group &g, int m, const double *jacobian, cons
             for (int i = 0; i < 6; i++) y[i] = A[i][3 + b / 2][b % 2];
             Eigen::Map<Eigen::VectorXd> column(X[b], n);
             column = weighted.transpose().lazyProduct(y);
-            if (b < 2 && wishes[b]) column += Given(wishes[b], n);
+            if (b < 2 && references[b]) column += Given(references[b], n);
         }
     }
     for (int a = 0; a < shared; a++) {
@@ -114,7 +114,7 @@ static bool add_arm(Core *c, const Group &g, int m, const double *jacobian, cons
         for (int j = 0; j < n; j++) along[j] = X[2 + a][j] / (scale[j] * scale[j]);
         for (int b = 0; b <= a; b++) S[a][b] += dot(along, X[2 + b], n);
         for (int side = 0; side < 2; side++)
-            x[a][side] += dot(along, X[side], n) - (wishes[side] ? dot(along, wishes[side], n) : 0.0);
+            x[a][side] += dot(along, X[side], n) - (references[side] ? dot(along, references[side], n) : 0.0);
     }
     return true;
 }
@@ -187,10 +187,10 @@ static bool all_at_once(Core *c, const Group &g, const double *jacobian, const T
     if (J.cols() < J.rows()) any_inverse(J, gathered(g, c->scale), P, N);
     else if (!right_inverse(J, gathered(g, c->scale), P, N)) return false;
     for (int side = 0; side < 2; side++) {
-        const GroupVector wishes = gathered(g, given.u[side]);
+        const GroupVector references = gathered(g, given.u[side]);
         for (int i = 0; i < g.arms; i++) left.segment<6>(6 * i) = given.twist(side, g.arm[i]);
-        left -= J.lazyProduct(wishes);
-        const GroupVector found = wishes + P.lazyProduct(left);
+        left -= J.lazyProduct(references);
+        const GroupVector found = references + P.lazyProduct(left);
         for (int j = 0; j < g.joints; j++) v[side][g.joint[j]] = found[j];
     }
     for (int i = 0; i < g.arms; i++) c->least_pivot[g.arm[i]] = 0.0;

@@ -19,7 +19,7 @@ static inline void turn(const Core *c, int j, double x, double *s, double *co) {
 }
 
 /* Take positions as those that others are close to, of each joint that has moved further than `most` from the last. */
-static void stay_near(Core *c, const double *positions, double most) {
+static void keep_sines(Core *c, const double *positions, double most) {
     for (int j = 0; j < c->joints; j++) {
         const double x = positions[j];
         if (fabs(x - c->near_x[j]) <= most) continue;

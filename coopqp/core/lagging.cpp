@@ -36,8 +36,8 @@ static double hasty_by_now(Core *c, const Vector6 &velocity, double dt) {
     Watch *w = c->watch;
     const Vector6 change = (velocity - c->lag_told) / (HASTE_FILTER + dt);
     c->lag_told += dt * change;
-    const double hasty = w->lag_suspects != 0.0 ? 0.0 : change.norm();
-    return w->lag_haste = max_of(hasty, w->lag_haste * SERVO_PEAK / (SERVO_PEAK + dt));
+    const double hasty = w->lag_suspected ? 0.0 : change.norm();
+    return w->lag_acceleration = max_of(hasty, w->lag_acceleration * SERVO_PEAK / (SERVO_PEAK + dt));
 }
 
 /* off and the part of it behind its command that a lag within the bounds explains */
@@ -73,25 +73,25 @@ static void watch_lag(Core *c, double dt, Seen *seen) {
     const Vector6 mean = mean_where(c->holding, c->deviation);
     const double hasty = hasty_by_now(c, velocity, dt), speed = velocity.norm();
     const int moves = speed > LAG_SLOWEST, rests = max_of(speed, c->lag_told.norm()) <= LAG_SLOWEST;
-    if (w->lag_begun == 0.0) { /* what moves shows no deviation at rest */
-        if (rests) c->lag_base = mean, w->lag_begun = dt, w->lag_high = LONGEST_LAG;
+    if (w->lag_time == 0.0) { /* what moves shows no deviation at rest */
+        if (rests) c->lag_base = mean, w->lag_time = dt, w->lag_high = LONGEST_LAG;
         return;
     }
     if (rests && mean.norm() <= LAG_FLOOR) c->lag_base = mean; /* as commanded */
     if (moves) c->lag_way = velocity / speed;
     const Vector6 off = mean - c->lag_base;
     const double behind = -off.dot(c->lag_way);
-    if (w->lag_begun < LAG_LEARNS) {
-        w->lag_begun += dt;
-        w->lag_soft = max_of(w->lag_soft, (off + clamp(behind, 0.0, LAG * speed) * c->lag_way).norm());
+    if (w->lag_time < LAG_LEARNS) {
+        w->lag_time += dt;
+        w->lag_softness = max_of(w->lag_softness, (off + clamp(behind, 0.0, LAG * speed) * c->lag_way).norm());
     }
     const double lag = moves ? clamp(behind / speed, w->lag_low, w->lag_high) : w->lag_high;
-    const double margin = (w->lag_suspects != 0.0 ? LET_GO : 1.0) * LAG_FLOOR + w->lag_noise + w->lag_soft +
+    const double margin = (w->lag_suspected ? LET_GO : 1.0) * LAG_FLOOR + w->lag_noise + w->lag_softness +
                           (LAG_LATE + lag * (LAG_FOLLOWS + 0.5 * lag)) * hasty;
     const Vector6 rest = unexplained(c, off, behind, speed);
     const double excess = rest.norm() - margin;
-    w->lag_suspects = excess > 0.0 && w->samples >= FEW_SAMPLES;
-    if (w->lag_suspects == 0.0) {
+    w->lag_suspected = excess > 0.0 && w->noise_samples >= FEW_SAMPLES;
+    if (!w->lag_suspected) {
         if (moves) learn_lag(c, off, behind, speed, margin, dt);
         if (rests) c->lag_base += dt / (LAG_SETTLES + dt) * off;
         return;

@@ -22,7 +22,7 @@ static bool stops_within(double speed, double d, double a, double h) {
 static double fastest(const Core *c, int j, double h) {
     if (c->most_move[j] == INFINITY) return c->speed[j];
     const double most = c->most_move[j] / h;
-    return c->proposal->hold != 0.0 ? min_of(most, max_of(HELD_SPEED, HELD_SHARE * fabs(c->velocity[j]))) : most;
+    return c->proposal->hold ? min_of(most, max_of(HELD_SPEED, HELD_SHARE * fabs(c->velocity[j]))) : most;
 }
 
 /* The box lower ≤ v ≤ upper, never empty; where limits conflict, acceleration wins. From outside a position limit it only
@@ -67,7 +67,7 @@ static int lead_back(Core *c, double h) {
 
 /* Whether the command stays inside all limits from inside, without a need to clip: the box without its divisions. */
 static int well_inside(const Core *c, double h) {
-    int inside = c->proposal->hold == 0.0; /* a hold brakes joints without limits */
+    int inside = !c->proposal->hold; /* a hold brakes joints without limits */
     for (int j = 0; j < c->joints; j++) {
         const double v = c->command[j], speed = fabs(v), a = c->acceleration[j];
         const double up = c->high[j] - c->positions[j], down = c->positions[j] - c->low[j];
@@ -154,7 +154,7 @@ static int admissible_rates(const Core *c, const double *base, const double *alo
 }
 
 /* The fastest rate up to `cap` at which the command stays admissible with full corrections; 0 if no rate is. */
-static int ray(Core *c, double cap) {
+static int search_rate(Core *c, double cap) {
     Rates rates;
     Vector base(c->scratch, c->joints, 1);
     base = c->command - cap * c->along_velocity;

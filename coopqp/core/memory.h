@@ -14,7 +14,7 @@
 #define LISTED(name) name,
 
 /* How a command was found: nominal, at a slower rate on the path, by the QP. */
-#define OUTCOMES(NAME) NAME(NOMINAL) NAME(RAY) NAME(QP)
+#define OUTCOMES(NAME) NAME(NOMINAL) NAME(RATE_SEARCH) NAME(QP)
 enum Outcome { OUTCOMES(LISTED) };
 
 /* Members of LimitKind in Python, in their order. */
@@ -54,7 +54,7 @@ struct Options {
     double calm_unit;           /* and of self-motion where it does */
     double rise;                /* largest rise of the rate where the object looks ahead [1/s] */
     double blocked_rate;        /* an object that is slower than this share of its full rate is blocked */
-    double rein_slope;          /* pace at which the rate follows the override [1/s] */
+    double override_slope;          /* pace at which the rate follows the override [1/s] */
     double off_path_distance;   /* an object further from its path is off it [m], */
     double off_path_angle;      /* or turned from it by more [rad] */
     double posture_gain;        /* of the way to the posture's target [1/s], */
@@ -71,7 +71,7 @@ struct Options {
     double singular_rate;       /* rate that a singularity leaves, below which it is one */
     double slow_from;           /* an arm this far out of step slows the object [m]; negative: none does */
     double hold_from;           /* and holds it from here on [m] */
-    double let_in;              /* drift of an arm that does not count, at most [m] */
+    double drift_limit;              /* drift of an arm that does not count, at most [m] */
     double noise_margin;        /* standard deviations of the noise that do not count */
     double recovery_time;       /* time from rest to the full rate after a hold by the supervision [s]; 0: none */
     double fault_from;          /* an arm this far out of step is a fault [m] */
@@ -109,26 +109,26 @@ struct Loop {
     double rate_slope;          /* change of the rate in the last step [1/s] */
     double last_dt;             /* length of the last step [s] */
     double fault_a, fault_b;    /* numbers of the fault */
-    double away;                /* of a user's path: distance of the object from it at the last step [m] */
-    double overridden;          /* speed override: largest rate that the operator asks for */
-    double ease;                /* share of the null-space reference that counts: it fades with a pause */
+    double path_distance;                /* of a user's path: distance of the object from it at the last step [m] */
+    double override_rate;          /* speed override: largest rate that the operator asks for */
+    double posture_blend;                /* share of the null-space reference that counts: it fades with a pause */
     double quiet_slack;         /* Σ reach |x - centre| below which no further row binds; negative: not known */
     double quiet_approach;      /* pace at which rows let distances fall [1/s] */
-    double quiet_ahead;         /* as quiet_slack, of grid points ahead */
-    double outdated;            /* for how long `said` outlasts what a step alone would say [s] */
+    double quiet_ahead_slack;         /* as quiet_slack, of grid points ahead */
+    double status_age;            /* for how long `said` outlasts what a step alone would say [s] */
     Reason fault;               /* the object stopped for it; NO_REASON: for none */
-    int fault_arm;              /* index of the fault */
-    Status said;                /* status of the last step */
+    int fault_index;              /* index of the fault */
+    Status status;                /* status of the last step */
     int path_lost;              /* a user's path: 0 is known, 1 has failed in this step, 2 has been found again */
-    bool first;                 /* no step has been made since the start */
+    bool first_step;                 /* no step has been made since the start */
     bool has_predicted;         /* `predicted` and `foreseen` count */
-    bool drifted;               /* a measurement was taken: `drift` counts */
-    bool correcting;            /* the last step led the object towards its path, by the twist `correcting` */
-    bool pause;                 /* the operator pauses the object */
+    bool has_drift;               /* a measurement was taken: `drift` counts */
+    bool corrects;            /* the last step led the object towards its path, by the twist `correcting` */
+    bool paused;                 /* the operator pauses the object */
     bool started;               /* a step was made since the start */
-    bool mismatch;              /* `mismatch` is not corrected yet */
+    bool has_mismatch;              /* `mismatch` is not corrected yet */
     bool chain_held;            /* commands that part the arms held the last step */
-    bool shift_asked;           /* the grasps were asked to shift since the last step, by `asked_shift` */
+    bool has_asked_shift;           /* the grasps were asked to shift since the last step, by `asked_shift` */
 };
 
 /* Ends of steps that are kept for the trail until it is read. */
@@ -138,28 +138,28 @@ struct Travels {
 
 /* Of the supervision, beside its vectors. */
 struct Watch {
-    double samples;             /* how many samples the noise is averaged over */
-    double watch_rate;          /* cap of the rate that it left in the last step */
+    double noise_samples;             /* how many samples the noise is averaged over */
+    double rate_cap;          /* cap of the rate that it left in the last step */
     double silence;             /* for how long no arm follows [s] */
     double drift_speed;         /* filtered speed of the joints [rad/s or m/s] */
     double drift_since;         /* time since the filter of the drift ran [s] */
-    double var_drift, covariance, var_lag; /* of drift [m²] and lag [s²] */
-    double rest;                /* for how long all joints rest [s] */
-    double gap, pull;           /* how far the arm `behind` hangs behind [m]; force by which the others pull it [N] */
+    double drift_variance, drift_lag_covariance, lag_variance; /* of drift [m²] and lag [s²] */
+    double rest_time;                /* for how long all joints rest [s] */
+    double behind_gap, behind_pull;           /* how far the arm `behind` hangs behind [m]; force by which the others pull it [N] */
     double lag_low, lag_high;   /* bounds of the servos' lag [s] */
-    double lag_haste;           /* acceleration of the object, filtered and remembered [m/s²] */
+    double lag_acceleration;           /* acceleration of the object, filtered and remembered [m/s²] */
     double lag_noise;           /* noise in its deviation [m] */
-    double lag_begun;           /* for how long the lag is watched [s]; 0: not yet */
-    double lag_soft;            /* deviation that the lag left unexplained at the start [m] */
-    int watch_arm;              /* the arm that made the cap, or -1 */
+    double lag_time;           /* for how long the lag is watched [s]; 0: not yet */
+    double lag_softness;            /* deviation that the lag left unexplained at the start [m] */
+    int cap_arm;              /* the arm that made the cap, or -1 */
     int far_samples;            /* samples in a row in which an arm was out of step as far as a fault */
     int past_count, past_head;  /* samples in `history`, and where the next goes */
     int behind;                 /* the arm that hangs behind its command, or -1 */
-    bool pressed;               /* the arms hold until they press less */
+    bool force_holds;               /* the arms hold until they press less */
     bool has_seen;              /* `seen` counts, */
     bool has_commanded;         /* `commanded` does, */
     bool drift_started;         /* and `drift_last` */
-    bool lag_suspects;          /* no lag explains where the object is */
+    bool lag_suspected;          /* no lag explains where the object is */
 };
 
 /* What growth looks for where an interval was too long: a jump of a user's path, of its twist, of the path beside that. */
@@ -168,39 +168,39 @@ enum Seeking { NOT_SEEKING, JUMPS, KINKS_OF_TWIST, BESIDE_A_KINK };
 /* Of the look-ahead, beside its vectors: grid points lie in a ring. */
 struct Ahead {
     double free_until;          /* the full rate is known to be admissible up to this clock [s], */
-    double begin_at;            /* and the next grid point is begun at this one */
-    double try_span;            /* interval before the grid point that is tried [s of the clock] */
-    double beyond_at;           /* clock at which constraint `beyond` allows no rate [s] */
+    double grow_from;            /* and the next grid point is begun at this one */
+    double trial_span;            /* interval before the grid point that is tried [s of the clock] */
+    double blocked_at;           /* clock at which constraint `beyond` allows no rate [s] */
     double seek_from, seek_to;  /* clocks between which a jump is sought [s], */
     double seek_whole;          /* and the change between them [m or m/s] */
-    double kink;                /* clock at which the twist jumps [s] */
+    double kink_at;                /* clock at which the twist jumps [s] */
     double jump_at, jump_by;    /* clock at which the path jumps [s], and by how much [m]; 0: it does not; < 0: it is too steep */
     double steep_by, steep_at;  /* the same of a change that may be a jump */
     int head, count;            /* place of the first grid point in the ring; how many are known */
-    int known;                  /* of how many K is known for good */
+    int settled;                  /* of how many K is known for good */
     int fresh;                  /* how many are known since K was last found */
     int kept;                   /* places in the ring behind them that are in use */
-    int way;                    /* tentative ones on the way past a singularity */
-    int iteration;              /* Newton steps at the one that is tried */
-    int beyond;                 /* 1 + the constraint that allows no rate beyond, or 0 */
-    int kinks;                  /* clocks in `kinks` */
+    int passing;                    /* tentative ones on the way past a singularity */
+    int trial_steps;              /* Newton steps at the one that is tried */
+    int blocked_by;                 /* 1 + the constraint that allows no rate beyond, or 0 */
+    int kink_count;                  /* clocks in `kinks` */
     Seeking seeking;
-    bool sought, closing_in;    /* a jump was sought before the present interval's end; the search is between two clocks */
+    bool jump_sought, closing_in;    /* a jump was sought before the present interval's end; the search is between two clocks */
     bool complete;              /* nothing comes after the last one */
-    bool ends;                  /* the cap of the last step comes from a stop */
+    bool ends_in_stop;                  /* the cap of the last step comes from a stop */
     bool growing;               /* a grid point is being tried */
     bool blind;                 /* the arms cannot follow the path: nothing is known ahead */
 };
 
 /* A grid point of the look-ahead beside its vectors. */
-struct Knot {
+struct Node {
     double clock, span;         /* its clock, and the interval before it [s] */
     double cap, uncapped;       /* largest z = σ² there; without a bound at 1 */
     double fastest;             /* largest slope of a joint [rad/s or m/s] */
-    double change;              /* most by which a slope changed beyond what it may since the one before [rad/s or m/s] */
+    double slope_excess;              /* most by which a slope changed beyond what it may since the one before [rad/s or m/s] */
     double fall, rise;          /* largest fall and rise of the rate that constraints allow [1/s] */
     double square;              /* K, the largest z from which the object can go on */
-    double found, since, until, gain; /* K follows K ahead from `since`, where it was found, to `until` along a line of slope `gain` */
+    double line_square, line_from, line_to, line_slope; /* K follows K ahead from `since`, where it was found, to `until` along a line of slope `gain` */
     Cause limit, cause;         /* of the cap; of K */
     bool inside;                /* all joints are inside their limits */
     bool corner;                /* the twist jumps: the slopes are those after it */
@@ -219,14 +219,14 @@ struct Proposal {
     double grasp_share, path_share; /* its shares of the corrections, */
     double parting;             /* and the speed at which its chain parts [m/s] */
     double binding_side;        /* 1 at an upper bound, -1 at a lower one */
-    double keep;                /* share of the rate, or of the last correction, that is left where all joints brake */
+    double brake_keep;                /* share of the rate, or of the last correction, that is left where all joints brake */
     double apart;               /* how far the commands part the arms, at the grasps [m] */
     double mismatch_left;       /* share of the mismatch that is left */
-    double closes;              /* share of the grasps' errors that full grasp corrections take away */
+    double closed_share;              /* share of the grasps' errors that full grasp corrections take away */
     double last_span, last_saved; /* of the answer before: its span, and by how much more it was than the answer took [s] */
     Cause cause;                /* of the cap */
     Reason reason;
-    int reason_arm;             /* index of the reason */
+    int reason_index;             /* index of the reason */
     Outcome outcome;
     int binding_row;            /* row that makes the rate, a joint or a further row; -1: none */
     int bindings, rows;         /* limits of the QP's answer; further rows */
@@ -234,11 +234,11 @@ struct Proposal {
     int outside;                /* joints outside their limits */
     int paces;                  /* answers over another share of the clock */
     bool has_measured, has_errors; /* `measured` counts; `errors` are known */
-    bool hold, faults;          /* the object holds; it is a fault */
+    bool hold, is_fault;          /* the object holds; it is a fault */
     bool late;                  /* the joints have to brake now to stop inside their limits */
-    bool relaxed, solved;       /* soft rows may give way; another solver was asked */
+    bool relaxed, asked_solver;       /* soft rows may give way; another solver was asked */
     bool braked;                /* no QP had an answer: the arms brake */
-    bool made;                  /* the corrections are what the answer makes */
+    bool corrections_made;                  /* the corrections are what the answer makes */
     bool chain_holds, mismatched; /* commands that part the arms hold; a mismatch is left */
 };
 
@@ -252,7 +252,7 @@ struct Record {
     double apart;               /* how far the commands part the arms [m] */
     Status status;
     Reason reason;
-    int reason_arm;
+    int reason_index;
     Outcome outcome;
     int iterations, bindings;
     bool measured, braked;      /* measurements have a share in that; the arms braked for want of an answer */
@@ -261,7 +261,7 @@ struct Record {
 /* -- fields ------------------------------------------------------------------------------------------------------------ */
 
 template <typename... T> constexpr bool COPIED = (std::is_trivially_copyable_v<T> && ...);
-static_assert(COPIED<Options, Loop, Travels, Watch, Ahead, Knot, Proposal, Record>);
+static_assert(COPIED<Options, Loop, Travels, Watch, Ahead, Node, Proposal, Record>);
 #define NUMBERS(type) ((sizeof(type) + sizeof(double) - 1) / sizeof(double))
 
 /* FIELD(type, name, how many numbers), in n arms, nv joints, nq numbers of a configuration, the unknowns of the condensed
@@ -350,12 +350,12 @@ static_assert(COPIED<Options, Loop, Travels, Watch, Ahead, Knot, Proposal, Recor
     FIELD(Pose *, seek_low, 12)              /* pose, or twist, of a user's path at the ends of the search */ \
     FIELD(Pose *, seek_high, 12) \
     FIELD(Vector, told_velocity, nv)         /* commanded velocity, filtered */ \
-    FIELD(Knot *, knots, NUMBERS(Knot) * MOST_KNOTS) /* the ring, and its vectors: */ \
-    FIELD(double *, knot_positions, nv * MOST_KNOTS) \
-    FIELD(double *, knot_slope, nv * MOST_KNOTS)     /* q' [rad or m per s of the clock], */ \
-    FIELD(double *, knot_curvature, nv * MOST_KNOTS) /* q'' over the interval before, */ \
-    FIELD(double *, knot_bending, nv * MOST_KNOTS)   /* its change per second, */ \
-    FIELD(double *, knot_edges, nv * MOST_KNOTS)     /* and the joints' way to the end of each arm's reach */ \
+    FIELD(Node *, nodes, NUMBERS(Node) * MOST_NODES) /* the ring, and its vectors: */ \
+    FIELD(double *, node_positions, nv * MOST_NODES) \
+    FIELD(double *, node_slope, nv * MOST_NODES)     /* q' [rad or m per s of the clock], */ \
+    FIELD(double *, node_curvature, nv * MOST_NODES) /* q'' over the interval before, */ \
+    FIELD(double *, node_bending, nv * MOST_NODES)   /* its change per second, */ \
+    FIELD(double *, node_edges, nv * MOST_NODES)     /* and the joints' way to the end of each arm's reach */ \
     FIELD(Travels *, travels, NUMBERS(Travels)) \
     FIELD(double *, travelled, (2 + 2 * nv) * MOST_TRAVELS) /* clock, rate, positions, velocities */
 

@@ -23,7 +23,7 @@
 #define SHARP 1e-4
 #define ROUGH 0.02
 /* The share of a certificate that is used when the next is begun; where less than NEEDED of the certificate of what is far
- * is left, the survey goes first. Pairs are looked at ahead of a knot this far beyond the motion to it. */
+ * is left, the survey goes first. Pairs are looked at ahead of a grid point this far beyond the motion to it. */
 #define USED 0.5
 #define NEEDED 0.25
 #define MOST_NEEDED 0.9
@@ -122,7 +122,7 @@ Nearby::Nearby(const NearbyArrays &arrays, const Settings &settings, std::unique
     : NearbyArrays(arrays), set(settings), exact(std::move(exact_given)), shapes(std::move(shapes_given)),
       pairs((ptrdiff_t)shapes.pairs()), joints((ptrdiff_t)shapes.joints()) {
     const ptrdiff_t P = pairs, nv = joints;
-    check_fit(exact->pairs() == (size_t)P && nv > 0 && knot_positions.size % nv == 0);
+    check_fit(exact->pairs() == (size_t)P && nv > 0 && node_positions.size % nv == 0);
 #define FITS(name, numbers) check_fit(name.size == (numbers));
     NEARBY_ARRAYS(FITS, FITS)
 #undef FITS
@@ -329,8 +329,8 @@ bool Nearby::look_for_certificate(int some) {
     return before >= 0 && !is_sharp(soonest_close()) && looked < 4 * SHARPENED_EARLY;
 }
 
-/* Look at some pairs that the motion to the next knot may lead inside their margin, likewise. */
-bool Nearby::look_for_knot() {
+/* Look at some pairs that the motion to the next grid point may lead inside their margin, likewise. */
+bool Nearby::look_for_node() {
     int count = 0;
     double *way = motion.anew();
     for (size_t j = 0; j < coming.size(); j++) way[j] = WIDER * fabs(coming[j]);
@@ -343,7 +343,7 @@ bool Nearby::look_for_knot() {
     return false;
 }
 
-/* Find some gaps of pairs that may change the slope of the next knot, likewise. */
+/* Find some gaps of pairs that may change the slope of the next grid point, likewise. */
 bool Nearby::look_for_gaps() {
     int count = 0;
     if (!(set.evades > 0.0) || !lacks_speed(evading_slope.data, WIDER)) return false;
@@ -358,19 +358,19 @@ bool Nearby::look_for_gaps() {
 void Nearby::prepare() {
     start_survey(&survey);
     sharp_stamp++;
-    job = set.evades >= 0.0 ? DONE : IDLE; /* ahead there is something to do after the next knot */
+    job = set.evades >= 0.0 ? DONE : IDLE; /* ahead there is something to do after the next grid point */
     exact->lose();
     if (dt.data[0] > 0.0) set_watches(1.0 / dt.data[0], WATCHED);
     survey_anew(&survey, at.data, measured);
     sharpen(SHARPENED_AT_START);
 }
 
-/* First what is far; then pairs, where a step's certificate is used up soon, or where the next knot will be. */
+/* First what is far; then pairs, where a step's certificate is used up soon, or where the next grid point will be. */
 bool Nearby::surveys(bool shorter) {
     const bool ahead = set.evades >= 0.0;
     const double *x = ahead ? evading_positions.data : positions.data;
     double share = SURVEYS_AGAIN;
-    if (ahead) { /* the knot after it needs what the motion to it takes */
+    if (ahead) { /* the grid point after it needs what the motion to it takes */
         double *way = motion.anew();
         for (size_t j = 0; j < coming.size(); j++) way[j] = WIDER * fabs(coming[j]);
         share = maximum(share, most_of_two(&survey, survey.weights.data(), way));
@@ -379,7 +379,7 @@ bool Nearby::surveys(bool shorter) {
     }
     const bool soon = !ahead && slack.data[0] > 0.0 && (job == ASKING || used_at(x) > USED);
     const bool surveyed = !(soon && left_at(&survey, x) > NEEDED) && survey_piece(&survey, x, share, shorter, measured);
-    const bool large = pairs > MANY_PAIRS; /* a knot does not wait for one after the other */
+    const bool large = pairs > MANY_PAIRS; /* a grid point does not wait for one after the other */
     if (surveyed && (!ahead || job == DONE || !large)) return true;
     if (job == IDLE) {
         if (!ahead && (slack.data[0] <= 0.0 || used_at(x) < USED)) return false;
@@ -389,7 +389,7 @@ bool Nearby::surveys(bool shorter) {
     }
     if (job == DONE) return false;
     if (ahead) {
-        const bool more = job == GAPS ? look_for_gaps() : look_for_knot();
+        const bool more = job == GAPS ? look_for_gaps() : look_for_node();
         if (!more) job = job == GAPS ? DONE : GAPS;
     } else if (!look_for_certificate(SHARPENED_EARLY / (shorter ? 2 : 1))) {
         job = IDLE;
@@ -407,13 +407,13 @@ double Nearby::clearance_at(ptrdiff_t k, const double *x, double enough) {
     return exact->distance(k) - margins.data[k];
 }
 
-/* The same on the way back from a knot, a time before it: q'' is constant there. */
+/* The same on the way back from a grid point, a time before it: q'' is constant there. */
 double Nearby::clearance_before(ptrdiff_t k, const Arrival &to, double back, double enough) {
     for (size_t j = 0; j < coming.size(); j++) coming[j] = to.x[j] + (0.5 * back * to.curvature[j] - to.slope[j]) * back;
     return clearance_at(k, coming.data(), enough);
 }
 
-/* Whether a pair falls below `least` between two times before a knot, with clearances there, on a way that takes no more
+/* Whether a pair falls below `least` between two times before a grid point, with clearances there, on a way that takes no more
  * than `way`. */
 bool Nearby::falls_below(ptrdiff_t k, const Arrival &to, double least, Sample late, Sample early, double way) {
     if (0.5 * (late.clearance + early.clearance - way) >= least || way < BEND_SAMPLE) return false;
@@ -423,7 +423,7 @@ bool Nearby::falls_below(ptrdiff_t k, const Arrival &to, double least, Sample la
            falls_below(k, to, least, there, early, 0.5 * way);
 }
 
-/* Whether a pair comes inside its margin, or closer inside it, on the way to a knot: Clearance._crosses. */
+/* Whether a pair comes inside its margin, or closer inside it, on the way to a grid point: Clearance._crosses. */
 bool Nearby::crosses(ptrdiff_t k, const Arrival &to, double way) {
     const double before = clearance_before(k, to, to.span, 0.0), least = minimum(before, 0.0) - STANDING;
     const double after = clearance_at(k, to.x, least);
@@ -432,8 +432,8 @@ bool Nearby::crosses(ptrdiff_t k, const Arrival &to, double way) {
 
 ptrdiff_t Nearby::stopping(ptrdiff_t place, double span) {
     const ptrdiff_t nv = joints;
-    if (place < 0 || place >= knot_positions.size / nv) throw std::out_of_range("there is no such knot");
-    const Arrival to = {knot_positions.data + place * nv, knot_slope.data + place * nv, knot_curvature.data + place * nv, span};
+    if (place < 0 || place >= node_positions.size / nv) throw std::out_of_range("there is no such grid point");
+    const Arrival to = {node_positions.data + place * nv, node_slope.data + place * nv, node_curvature.data + place * nv, span};
     double *way = motion.anew();
     for (ptrdiff_t j = 0; j < nv; j++) way[j] = BENT_WAY * fabs((0.5 * span * to.curvature[j] - to.slope[j]) * span);
     survey_now(&survey, to.x, measured);
@@ -451,7 +451,7 @@ ptrdiff_t Nearby::stopping(ptrdiff_t place, double span) {
             }
         }
     }
-    slack.data[0] = -1.0; /* every knot is looked at: from it the next one is prepared */
+    slack.data[0] = -1.0; /* every grid point is looked at: from it the next one is prepared */
     for (ptrdiff_t j = 0; j < nv; j++) coming[(size_t)j] = to.slope[j] * span;
     job = IDLE;
     return found;

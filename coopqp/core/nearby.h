@@ -98,7 +98,7 @@ private:
     READ(positions, nv) READ(command, nv) READ(dt, 1) WRITE(G, lower.size * nv) WRITE(lower, lower.size) \
     WRITE(upper, lower.size) WRITE(soft, lower.size) WRITE(owner, lower.size) WRITE(centre, nv) WRITE(weights, nv) \
     WRITE(slack, 1) WRITE(approach, 1) READ(evading_positions, nv) WRITE(evading_slope, nv) \
-    READ(knot_positions, knot_positions.size) READ(knot_slope, knot_positions.size) READ(knot_curvature, knot_positions.size)
+    READ(node_positions, node_positions.size) READ(node_slope, node_positions.size) READ(node_curvature, node_positions.size)
 
 struct NearbyArrays {
 #define READ(name, numbers) Read name;
@@ -118,14 +118,14 @@ public:
     bool clear(bool blind, bool shorter);
     /* Raise lower bounds where the command leads closer than rows say; whether it does. */
     bool tightened();
-    /* The pair that stops the object between the knot at a place and the one before, a time `span` earlier, -2 for none, -1 if that is not known. */
+    /* The pair that stops the object between the grid point at a place and the one before, a time `span` earlier, -2 for none, -1 if that is not known. */
     ptrdiff_t stopping(ptrdiff_t place, double span);
     /* Look at all pairs where the joints start, before the first step. */
     void prepare();
-    /* A piece of work ahead of need, if there is any, or a shorter one; whether there was. Ahead it is on the knot that is
+    /* A piece of work ahead of need, if there is any, or a shorter one; whether there was. Ahead it is on the grid point that is
      * expected next. */
     bool surveys(bool shorter);
-    /* Self-motion of redundant arms where a knot is tried: changes the slope in memory. */
+    /* Self-motion of redundant arms where a grid point is tried: changes the slope in memory. */
     bool evade();
     /* The placement of a shape at positions x, by these kinematics. */
     void placement(Read x, ptrdiff_t shape, Write found);
@@ -133,7 +133,7 @@ public:
     double bound(Read x, ptrdiff_t pair);
 
 private:
-    struct Arrival { /* at a knot, a time after the one before */
+    struct Arrival { /* at a grid point, a time after the one before */
         const double *x, *slope, *curvature;
         double span;
     };
@@ -165,7 +165,7 @@ private:
     bool way_is_clear(const double *x);
     double used_at(const double *x);
     bool look_for_certificate(int some);
-    bool look_for_knot();
+    bool look_for_node();
     bool look_for_gaps();
     bool lacks_speed(const double *slope, double share);
     const Gap &gap_of(ptrdiff_t k);
@@ -181,8 +181,8 @@ private:
     ptrdiff_t pairs, joints;
     Evasion evasion;
     Survey survey;
-    Way motion;                              /* in a step, or to a knot */
-    std::vector<double> watch, next, coming; /* coming: motion of the joints to the next knot, as the last one had it */
+    Way motion;                              /* in a step, or to a grid point */
+    std::vector<double> watch, next, coming; /* coming: motion of the joints to the next grid point, as the last one had it */
     std::vector<uint64_t> sharp;             /* clearances with the present stamp are as good as distances */
     uint64_t sharp_stamp = 1;
     std::vector<ptrdiff_t> near, which; /* near pairs, pairs of the rows */

@@ -79,7 +79,7 @@ static double next_breakpoint(const Core *c, double clock) {
             after = minimum(after, c->path_numbers[3 + i]);
             break;
         }
-    for (int i = 0; i < (int)c->ahead->kinks; i++)
+    for (int i = 0; i < c->ahead->kink_count; i++)
         if (c->kinks[i] > clock + SAME_CLOCK) return minimum(after, c->kinks[i]);
     return after;
 }

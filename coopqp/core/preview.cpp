@@ -1,25 +1,25 @@
 /* The path ahead of the object's clock: where limits and singularities bind, and how fast the object may go.
  *
  * Under acceleration limits no single step can keep both the chain and the path at a limit: all arms have to brake
- * together, ahead of it. The preview runs the chain's own inverse kinematics ahead of the clock, knot by knot, and
+ * together, ahead of it. The preview runs the chain's own inverse kinematics ahead of the clock, grid point by grid point, and
  * stores the joints' derivatives with respect to the clock, q′ = A⁻¹ν and q″. With rate σ the joints move at q′σ and
- * accelerate at q′σ̇ + q″σ². Speeds bound z = σ² at each knot. A backward pass over the knots finds K, the largest z
+ * accelerate at q′σ̇ + q″σ². Speeds bound z = σ² at each grid point. A backward pass over the grid points finds K, the largest z
  * from which the object can go on within the accelerations (sharing.cpp), down to a stop at the end of the known
  * horizon. The rate of a step keeps σ² ≤ K in its middle and at its end. It is path timing on a rolling horizon: as long
  * as the object needs to stop, and no longer. */
 
 #include "ahead.h"
 
-constexpr int STEPS_TO_GROW = 8; /* a knot is begun this many steps before it is needed */
+constexpr int STEPS_TO_GROW = 8; /* a grid point is begun this many steps before it is needed */
 constexpr int LEAST_ASKED = 4; /* a user's path is asked up to this often in a step for what is ahead, */
 constexpr double ASKED_PER_TIME = 6000.0; /* and more often in steps [1/s] */
 constexpr double SHORT_STEP = 0.002; /* that are longer than this [s], */
-constexpr int STEPS_TO_ASK = 40; /* and a knot of it is begun this many steps before it is needed */
+constexpr int STEPS_TO_ASK = 40; /* and a grid point of it is begun this many steps before it is needed */
 
 /* Pieces of work on bodies ahead that a start does at most. */
 #define SURVEYS_AT_START 20
 
-/* The look-ahead finds a knot with the grasps as they are when it is begun: grasps that go on giving way would be pursued
+/* The look-ahead finds a grid point with the grasps as they are when it is begun: grasps that go on giving way would be pursued
  * by its Newton steps for ever. */
 static void take_grasps(Core *c) {
     std::copy(c->object, c->object + c->arms, c->ahead_object);
@@ -38,7 +38,7 @@ static void hold_blind(Core *c) {
 }
 
 /* Whether K is final along a step. */
-static int is_final(const Core *c, double clock, double dt) { return c->ahead->complete != 0.0 || reaches(c, clock, dt); }
+static int is_final(const Core *c, double clock, double dt) { return c->ahead->complete || reaches(c, clock, dt); }
 
 /* Grow the horizon until it reaches far enough, or admits a rate, or by that many Newton steps, or questions to a user's
  * path. */
@@ -53,10 +53,10 @@ static void extend_horizon(Core *c, double clock, double dt, double rate, int ne
     }
 }
 
-/* A knot is begun this many steps before it is needed. */
-static double steps_to_grow(const Core *c) { return own_path(c) || c->bound_knot ? STEPS_TO_ASK : STEPS_TO_GROW; }
+/* A grid point is begun this many steps before it is needed. */
+static double steps_to_grow(const Core *c) { return own_path(c) || c->bound_node ? STEPS_TO_ASK : STEPS_TO_GROW; }
 
-/* A piece of work before it is needed: on bodies ahead, else on the next knot. */
+/* A piece of work before it is needed: on bodies ahead, else on the next grid point. */
 static void work_early(Core *c) {
     if (!survey_ahead(c)) work_ahead(c);
 }
@@ -66,7 +66,7 @@ static double most_asked(const Core *c) {
     return own_path(c) ? LEAST_ASKED + maximum(0.0, floor(ASKED_PER_TIME * (c->options->nominal_dt - SHORT_STEP))) : INFINITY;
 }
 
-/* The cap of a step, from a horizon that is grown for it, and the knot that makes it; −1 if none does, or if more than
+/* The cap of a step, from a horizon that is grown for it, and the grid point that makes it; −1 if none does, or if more than
  * `most` is admitted before K is final. */
 static double cap_on_horizon(Core *c, double clock, double dt, double most, int *cause) {
     Ahead *a = c->ahead;
@@ -74,13 +74,13 @@ static double cap_on_horizon(Core *c, double clock, double dt, double most, int 
     *cause = -1;
     if (least.square >= 1.0) {
         a->free_until = free_until(c, 2.0 * maximum(dt, c->options->nominal_dt));
-        a->begin_at = a->free_until - steps_to_grow(c) * c->options->nominal_dt;
+        a->grow_from = a->free_until - steps_to_grow(c) * c->options->nominal_dt;
         return 1.0;
     }
     if (!is_final(c, clock, dt) && admits_rate(c, clock, dt, most)) return 1.0;
     const double rate = largest_rate(c, clock, dt, &least);
     *cause = least.cause;
-    a->ends = knot(c, *cause)->stops;
+    a->ends_in_stop = node(c, *cause)->stops;
     return rate;
 }
 
@@ -91,8 +91,8 @@ static void preview_try(Core *c, double clock, int kept) {
     *c->ahead = Ahead();
     c->ahead->head = head, c->ahead->kept = kept;
     c->ahead->free_until = -INFINITY;
-    c->ahead->begin_at = INFINITY;
-    if (first_knot(c, clock)) push_knot(c);
+    c->ahead->grow_from = INFINITY;
+    if (first_node(c, clock)) push_node(c);
     swap_grasps(c);
 }
 
@@ -103,7 +103,7 @@ static int preview_grow(Core *c, double clock, double rate, int *steps) {
     swap_grasps(c);
     for (; open && *steps > 0; --*steps) {
         open = !is_final(c, clock, dt) && !admits_rate(c, clock, dt, rate);
-        if (!open || (c->ahead->count > begun && c->ahead->fresh == 0.0)) break; /* K has been found anew */
+        if (!open || (c->ahead->count > begun && c->ahead->fresh == 0)) break; /* K has been found anew */
         const int grown = work_ahead(c);
         if (grown < 0) hold_blind(c);
         open = grown > 0;
@@ -116,7 +116,7 @@ static int preview_grow(Core *c, double clock, double rate, int *steps) {
 static void preview_reset(Core *c, double clock, int later) {
     preview_try(c, clock, 0);
     swap_grasps(c);
-    if (c->ahead->count > 0.0 && !later)
+    if (c->ahead->count > 0 && !later)
         extend_horizon(c, clock, c->options->nominal_dt, INFINITY, NEWTON_STEPS_AT_START, INFINITY);
     for (int i = 0; i < SURVEYS_AT_START && !later && survey_ahead(c);) i++; /* what the first steps would do of it */
     swap_grasps(c);
@@ -127,27 +127,27 @@ static double cap_ahead(Core *c, double clock, double dt, double most) {
     int cause = -1;
     name_cause(c->proposal->cause, NONE, -1, -1);
     if (!(isfinite(clock) && isfinite(dt))) return 0.0;
-    if (a->count == 0.0 && first_knot(c, clock)) push_knot(c); /* the path failed where it began */
-    if (a->count == 0.0) {
+    if (a->count == 0 && first_node(c, clock)) push_node(c); /* the path failed where it began */
+    if (a->count == 0) {
         hold_blind(c);
         return 0.0;
     }
     /* Beside bodies growth goes on before the rate is no longer known to be free. */
-    const double early = c->bound_knot ? steps_to_grow(c) * c->options->nominal_dt : 0.0;
+    const double early = c->bound_node ? steps_to_grow(c) * c->options->nominal_dt : 0.0;
     if (clock < a->free_until - early && dt <= c->options->nominal_dt) {
-        if (clock >= a->begin_at) work_early(c);
+        if (clock >= a->grow_from) work_early(c);
         return 1.0;
     }
-    extend_horizon(c, clock, dt, most, (int)c->options->newton_steps, most_asked(c));
-    if (a->complete == 0.0 && !reaches(c, clock + steps_to_grow(c) * dt, dt) && !c->asked) work_early(c);
-    a->ends = 0.0;
+    extend_horizon(c, clock, dt, most, c->options->newton_steps, most_asked(c));
+    if (!a->complete && !reaches(c, clock + steps_to_grow(c) * dt, dt) && !c->asked) work_early(c);
+    a->ends_in_stop = false;
     const double cap = cap_on_horizon(c, clock, dt, most, &cause);
-    if (cause >= 0) c->proposal->cause = knot(c, cause)->cause;
+    if (cause >= 0) c->proposal->cause = node(c, cause)->cause;
     return cap > 0.0 ? cap : 0.0;
 }
 
 static double preview_cap(Core *c, double clock, double dt, double most) {
-    if (c->ahead->growing == 0.0) take_grasps(c);
+    if (!c->ahead->growing) take_grasps(c);
     swap_grasps(c);
     const double cap = cap_ahead(c, clock, dt, most);
     swap_grasps(c);
@@ -156,13 +156,13 @@ static double preview_cap(Core *c, double clock, double dt, double most) {
 
 /* Largest rise of σ near a clock by further constraints, and by joints that no step limits; the joint, or −1. */
 static double preview_rise(const Core *c, double clock, int *joint) {
-    const int count = (int)c->ahead->count;
+    const int count = c->ahead->count;
     *joint = -1;
     if (!count) return INFINITY;
-    const int i = knot_before(c, clock), ahead = i + 1 < count ? i + 1 : i;
-    const double rise = minimum(knot(c, i)->rise, knot(c, ahead)->rise);
+    const int i = node_before(c, clock), ahead = i + 1 < count ? i + 1 : i;
+    const double rise = minimum(node(c, i)->rise, node(c, ahead)->rise);
     if (accelerates(c)) return rise;
-    const double *slope = vector_of(c, c->knot_slope, i), *next = vector_of(c, c->knot_slope, ahead);
+    const double *slope = vector_of(c, c->node_slope, i), *next = vector_of(c, c->node_slope, ahead);
     double most = 0.0;
     int tightest = 0;
     for (int j = 0; j < c->joints; j++) {
@@ -189,18 +189,18 @@ static double preview_brake(const Core *c, double clock, double dt, double rate)
 }
 
 static void preview_reference(Core *c, double clock, double *positions, double *slope) {
-    if (c->ahead->count == 0.0) {
+    if (c->ahead->count == 0) {
         Vector(positions, c->joints, 1) = c->positions;
         Vector(slope, c->joints, 1).setZero();
         return;
     }
     leave_behind(c, clock);
-    const int ahead = c->ahead->count > 1.0 ? 1 : 0;
-    const double *x = vector_of(c, c->knot_positions, 0), *first = vector_of(c, c->knot_slope, 0);
-    const double *second = vector_of(c, c->knot_slope, ahead);
-    const double span = knot(c, ahead)->clock - knot(c, 0)->clock;
-    const double share = span > 0.0 ? clamp((clock - knot(c, 0)->clock) / span, 0.0, 1.0) : 0.0;
-    /* Quadratic from the knot before: exact to second order, continuous to third. */
+    const int ahead = c->ahead->count > 1 ? 1 : 0;
+    const double *x = vector_of(c, c->node_positions, 0), *first = vector_of(c, c->node_slope, 0);
+    const double *second = vector_of(c, c->node_slope, ahead);
+    const double span = node(c, ahead)->clock - node(c, 0)->clock;
+    const double share = span > 0.0 ? clamp((clock - node(c, 0)->clock) / span, 0.0, 1.0) : 0.0;
+    /* Quadratic from the grid point before: exact to second order, continuous to third. */
     for (int j = 0; j < c->joints; j++) {
         slope[j] = first[j] + share * (second[j] - first[j]);
         positions[j] = x[j] + 0.5 * (first[j] + slope[j]) * (share * span);

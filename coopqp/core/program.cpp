@@ -110,7 +110,7 @@ static void arm_columns(Core *c, int k, int z, const TenTwists &T, double cap) {
     ArmSquare N;
     any_inverse(ArmColumns(J), scale, P, N);
     Eigen::Matrix<double, Eigen::Dynamic, 10, 0, MOST_JOINTS, 10> X = P.lazyProduct(T);
-    if (a.n > 6) { /* the wishes' coordinates in the null-space */
+    if (a.n > 6) { /* the null-space references' coordinates in the null-space */
         const ArmSquare per = scale.cwiseAbs2().cwiseInverse().asDiagonal() * N;
         const ArmVector along = per.transpose().lazyProduct(own(c->null_along, room[1]));
         const ArmVector rest = per.transpose().lazyProduct(own(c->null_offset, room[2]));
@@ -235,7 +235,7 @@ static int read_answer(Core *c, double cap) {
             const double upper = own ? c->further_upper[i - c->joints] : c->upper[i];
             const double excess = pass ? lower - v : v - upper;
             const int soft = own && c->further_soft[i - c->joints] != 0.0;
-            if (!(excess <= RESIDUE_TOLERANCE) && !(soft && p->relaxed != 0.0)) return 0;
+            if (!(excess <= RESIDUE_TOLERANCE) && !(soft && p->relaxed)) return 0;
             if (fabs(excess) > AT_LIMIT && !(own && excess > 0.0)) continue;
             c->bindings[2 * count] = i;
             c->bindings[2 * count++ + 1] = pass ? -1.0 : 1.0;

@@ -30,11 +30,11 @@ static int quiet_step(const Core *c) {
 
 /* No further constraint asks for anything ahead at x. */
 static int quiet_ahead(const Core *c, const double *x) {
-    return way_from(c, x, c->quiet_ahead_centre, c->quiet_ahead_reach, nullptr, 0.0) < c->loop->quiet_ahead;
+    return way_from(c, x, c->quiet_ahead_centre, c->quiet_ahead_reach, nullptr, 0.0) < c->loop->quiet_ahead_slack;
 }
 
-/* No further constraint stops the object between the knot before and one at x, `span` after it. */
-static int quiet_knot(Core *c, const double *x, const double *slope, const double *curvature, double span) {
+/* No further constraint stops the object between the grid point before and one at x, `span` after it. */
+static int quiet_node(Core *c, const double *x, const double *slope, const double *curvature, double span) {
     double *before = c->scratch;
     for (int j = 0; j < c->joints; j++) before[j] = x[j] - (slope[j] - 0.5 * span * curvature[j]) * span;
     return quiet_ahead(c, x) && quiet_ahead(c, before);

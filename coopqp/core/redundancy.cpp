@@ -35,8 +35,8 @@ static int self_motion(Core *c, int k, const double *jacobian, int j, double *wa
     double push[MOST_JOINTS] = {0}, other[MOST_JOINTS], columns[6 * MOST_JOINTS], units[MOST_JOINTS];
     const double *J = side_by_side(a, jacobian, 6, columns), *scale = side_by_side(a, c->scale, 1, units);
     push[j] = 1.0;
-    return arm_velocities(J, scale, a.n, none, none, push, no_wish, way, other) > 0.0 ||
-           far_velocities(J, scale, a.n, none, none, push, no_wish, way, other) > 0.0;
+    return arm_velocities(J, scale, a.n, none, none, push, no_reference, way, other) > 0.0 ||
+           far_velocities(J, scale, a.n, none, none, push, no_reference, way, other) > 0.0;
 }
 
 /* How joint `j` of these bends along a self-motion (n,) of arm k, or of its group: −A⁺ J′(w) w; 0 if it is singular. */
@@ -54,8 +54,8 @@ static double bend_of_joint(Core *c, int k, const double *jacobian, const double
     const ArmJoints &a = joints_of(c, k);
     const double *J = side_by_side(a, jacobian, 6, columns), *scale = side_by_side(a, c->scale, 1, units);
     const Vector6 bends = -bend(c, k, jacobian, moving), none = Vector6::Zero();
-    const bool found = arm_velocities(J, scale, n, bends, none, no_wish, no_wish, moved, other) > 0.0 ||
-                       far_velocities(J, scale, n, bends, none, no_wish, no_wish, moved, other) > 0.0;
+    const bool found = arm_velocities(J, scale, n, bends, none, no_reference, no_reference, moved, other) > 0.0 ||
+                       far_velocities(J, scale, n, bends, none, no_reference, no_reference, moved, other) > 0.0;
     return found ? moved[j] : 0.0;
 }
 

@@ -2,7 +2,7 @@
  * coopqp/forces/admittance.py says why. */
 
 #include "functions.h"
-#include "minding.h"
+#include "force_relaxation.h"
 
 constexpr double CAREFUL_START = 0.45; /* rate at which the object begins, less by √ρ on servos ρ times other than told */
 constexpr double SLOWEST_LESSON = 0.7; /* drifts are learned as fast down to this rate */
@@ -16,7 +16,7 @@ constexpr double MORE_THAN_STOPPED = 1.5; /* or with so many times the impulse t
 constexpr double PUSHED_FOR = 0.01; /* and the limit for this time [s]; */
 constexpr double PUSHES_FADE = 0.2; /* impulses and speeds are remembered for this time [s] */
 constexpr double HEAD_ON = 0.5; /* least cosine between the way that the object came and the push by what it has met */
-constexpr double CONTACT_BACK = 0.01; /* then the object goes back as fast as it came, and at least at this speed [m/s], */
+constexpr double RETREAT_SPEED = 0.01; /* then the object goes back as fast as it came, and at least at this speed [m/s], */
 constexpr double LATE_LOAD = 0.5; /* share of the inertia that may be late */
 constexpr double CORRECTION_FADES = 0.5; /* time in which the path correction begins, once the arms have relaxed [s] */
 
@@ -32,8 +32,8 @@ static double largest_entry(const Twists &x, int part) { return x.middleRows<3>(
 
 /* Take wrenches (6 N; nullptr for none) after a time. HEARD: all came; MISSED: some did not; SILENT: one has been missing
  * for too long, or has not changed by a bit for as long while the arms move. */
-static Hearing feel(int arms, MindingArrays &f, const double *wrenches, double dt) {
-    Minding *m = f.m;
+static Hearing feel(int arms, RelaxationArrays &f, const double *wrenches, double dt) {
+    ForceRelaxation *m = f.m;
     const double share = dt / (dt + m->wrench_filter);
     const int moves = m->last_speed > SENSED_MOTION;
     Hearing heard = HEARD;
@@ -49,18 +49,18 @@ static Hearing feel(int arms, MindingArrays &f, const double *wrenches, double d
         f.silent[k] = fresh && !same ? 0.0 : f.silent[k] + dt;
         if (f.silent[k] > m->wrench_silence) heard = SILENT;
     }
-    double numbers[6 * (int)MOST_MINDING];
+    double numbers[6 * (int)MOST_RELAXING];
     Twists now(numbers, 6, arms);
     now.reshaped() = f.internal_of.lazyProduct(f.seen.reshaped()) - f.target.reshaped();
     m->sharpest = largest_norm(now, 0);
     f.internal += share * (now - f.internal);
     f.felt += share * (f.seen - f.felt);
-    m->size = maximum(largest_norm(f.internal, 0), largest_norm(f.internal, 1) / TURN_LENGTH);
+    m->largest_force = maximum(largest_norm(f.internal, 0), largest_norm(f.internal, 1) / TURN_LENGTH);
     return heard;
 }
 
 /* The share of its full rate at which the path asks the grasps to move on: a step to its end says 1 again, however slow it came. */
-static double share_of_way(const Minding *m, double rate) { return minimum(rate, m->allowed); }
+static double share_of_way(const ForceRelaxation *m, double rate) { return minimum(rate, m->allowed); }
 
 /* A slow object shows little of its drift, which would be learned with the square of the rate. */
 static double square_of_slow(double rate) {
@@ -69,11 +69,11 @@ static double square_of_slow(double rate) {
 }
 
 /* Move the grasps by one step of dt, while the object moves at a rate. */
-static void give_way(int arms, MindingArrays &f, double dt, double rate) {
-    Minding *m = f.m;
-    double numbers[12 * (int)MOST_MINDING];
+static void give_way(int arms, RelaxationArrays &f, double dt, double rate) {
+    ForceRelaxation *m = f.m;
+    double numbers[12 * (int)MOST_RELAXING];
     Twists way(numbers, 6, arms), moved(numbers + 6 * arms, 6, arms);
-    const double size = m->size, soft = clamp(m->stiffer, SOFTEST, 1.0), asks = share_of_way(m, rate);
+    const double size = m->largest_force, soft = clamp(m->stiffer, SOFTEST, 1.0), asks = share_of_way(m, rate);
     way.setZero();
     if (size > m->dead_band) {
         const double gain = (m->dead_band / size - 1.0) / (maximum(m->stiffer, 1.0) * m->relax_time);
@@ -81,13 +81,13 @@ static void give_way(int arms, MindingArrays &f, double dt, double rate) {
         /* Softer servos than given are answered more slowly, and their drift is learned more slowly in the same proportion. */
         f.drift += rate * dt * soft / (square_of_slow(rate) * m->drift_time) * way;
     }
-    if (m->at_end != 0.0) /* soft servos, and slow objects, would unlearn slowly what the path has asked for */
+    if (m->at_end) /* soft servos, and slow objects, would unlearn slowly what the path has asked for */
         f.drift *= 1.0 - rate * dt * (1.0 - soft * asks) / (m->drift_time + dt);
     way += asks * f.drift;
     double fastest = maximum(largest_entry(way, 0) / m->most_speed, largest_entry(way, 1) / m->most_spin);
     fastest = maximum(fastest, 1.0);
-    m->relax_ease = minimum(m->relax_ease + dt / m->ramp_time, 1.0);
-    moved = f.shift + dt * m->relax_ease / fastest * way;
+    m->relax_blend = minimum(m->relax_blend + dt / m->ramp_time, 1.0);
+    moved = f.shift + dt * m->relax_blend / fastest * way;
     const double far = maximum(largest_norm(moved, 0) / m->most_reach, largest_norm(moved, 1) / m->most_turn);
     m->saturated = far >= 1.0 - 1e-9; /* also where it rests at the end of its reach, to rounding */
     f.shift = moved / maximum(far, 1.0);
@@ -95,8 +95,8 @@ static void give_way(int arms, MindingArrays &f, double dt, double rate) {
 
 /* The grasp of an arm that has let go comes back to its place, slowly at first, while the arm is free. Its distance from where it
  * held is forgotten as its servos spring back. */
-static void come_back(int arms, MindingArrays &f, double dt) {
-    const Minding *m = f.m;
+static void return_grasps(int arms, RelaxationArrays &f, double dt) {
+    const ForceRelaxation *m = f.m;
     for (int k = 0; k < arms; k++) {
         if (f.holding[k] != 0.0) continue;
         const Vector6 way = f.shift.col(k) / m->relax_time;
@@ -110,41 +110,41 @@ static void come_back(int arms, MindingArrays &f, double dt) {
 
 /* Palms press, and all forces are small, for long enough: then the object moves, slowly at first, so that forces of lags and
  * bases are felt while they are small. The pads of palms yield, and servos that do not answer make none. */
-static void wait_at_rest(Minding *m, double dt) {
-    m->since = m->size > m->pressed_below ? 0.0 : m->since + dt;
-    if (!(m->since > m->wait && m->size < m->move_below)) return;
-    m->stage = MOVING, m->since = 0.0;
-    if (m->has_palms == 0.0 && m->stiffer > SOFTEST)
+static void wait_at_rest(ForceRelaxation *m, double dt) {
+    m->stage_time = m->largest_force > m->pressed_below ? 0.0 : m->stage_time + dt;
+    if (!(m->stage_time > m->wait_time && m->largest_force < m->move_below)) return;
+    m->stage = MOVING, m->stage_time = 0.0;
+    if (!m->has_palms && m->stiffer > SOFTEST)
         m->force_cap = minimum(m->force_cap, CAREFUL_START / sqrt(maximum(m->stiffer, 1.0 / m->stiffer)));
 }
 
 /* The object is led to its path once the arms have relaxed: before, that would be a pull of its own. */
-static void begin_to_correct(Minding *m, double dt) {
-    if (m->stage == MOVING) m->corrects = minimum(m->corrects + dt / CORRECTION_FADES, 1.0);
+static void begin_to_correct(ForceRelaxation *m, double dt) {
+    if (m->stage == MOVING) m->correction_share = minimum(m->correction_share + dt / CORRECTION_FADES, 1.0);
 }
 
 /* An object that has met something goes back the way that it came, which is free; a resting one the way it is pushed. As fast as
  * it came, at first as far as it went before that was known. */
-static Vector3 turn_back(Minding *m, const Vector3 &velocity, const Vector3 &off) {
+static Vector3 begin_retreat(ForceRelaxation *m, const Vector3 &velocity, const Vector3 &off) {
     const double speed = velocity.norm(), size = off.norm();
     const bool against = -velocity.dot(off) >= HEAD_ON * speed * size && speed > 0.0;
-    m->back_speed = maximum(speed, CONTACT_BACK);
-    m->back_owed = speed * m->contact_late, m->back_from = NAN, m->goes_on = 0.0;
+    m->retreat_speed = maximum(speed, RETREAT_SPEED);
+    m->retreat_left = speed * m->contact_late, m->retreat_from = NAN, m->goes_on = false;
     return against ? Vector3(velocity / -speed) : Vector3(off / max_of(size, 1e-12));
 }
 
-/* `backs`, the speed at which the object goes back now: until nothing pushes it any more. */
-static void go_back(Minding *m, const Vector3 &off, const Vector3 &back, double dt) {
-    const double most = m->back_speed * dt;
-    if (back.dot(off) >= LET_GO * m->contact_limit) m->back_owed = maximum(m->back_owed, most);
-    const double way = minimum(m->back_owed, most);
-    m->back_owed -= way, m->backs = way / dt;
+/* `retreats_at`, the speed at which the object goes back now: until nothing pushes it any more. */
+static void pace_retreat(ForceRelaxation *m, const Vector3 &off, const Vector3 &back, double dt) {
+    const double most = m->retreat_speed * dt;
+    if (back.dot(off) >= LET_GO * m->contact_limit) m->retreat_left = maximum(m->retreat_left, most);
+    const double way = minimum(m->retreat_left, most);
+    m->retreat_left -= way, m->retreats_at = way / dt;
 }
 
 /* What pushes the object, beside its weight and the arms: the sum of their wrenches, less its weight and inertia. What was
  * there before it moved is no contact, nor any less of it: a payload of another mass, or a table that it is lifted from. */
-static void contact(int arms, const MindingArrays &f, double dt) {
-    Minding *m = f.m;
+static void contact(int arms, const RelaxationArrays &f, double dt) {
+    ForceRelaxation *m = f.m;
     TravelOf<Vector3> &travel = *f.travel;
     PushOf<Vector3> &push = *f.push;
     const double since = max_of(m->reference_dt, 1e-6);
@@ -152,13 +152,13 @@ static void contact(int arms, const MindingArrays &f, double dt) {
     const Vector3 place = f.reference->p + f.reference->R * *f.centre;
     if (m->stage < MOVING) {
         travel = {place, Vector3::Zero(), Vector3::Zero()};
-        m->load_haste = 0.0;
+        m->load_acceleration = 0.0;
     } else {
         const Vector3 velocity = (place - travel.place) / since, change = (velocity - travel.velocity) / since;
         travel.place = place, travel.velocity = velocity;
         travel.acceleration += dt / (dt + m->wrench_filter) * (change - travel.acceleration);
         m->load_speed = max_of(velocity.norm(), m->load_speed * PUSHES_FADE / (PUSHES_FADE + dt));
-        m->load_haste = max_of(change.norm(), m->load_haste * SERVO_PEAK / (SERVO_PEAK + dt));
+        m->load_acceleration = max_of(change.norm(), m->load_acceleration * SERVO_PEAK / (SERVO_PEAK + dt));
     }
     Vector3 force = Vector3::Zero();
     for (int k = 0; k < arms; k++) force += f.unfed_of.block<3, 6>(6 * k, 6 * k).lazyProduct(f.seen.col(k));
@@ -171,26 +171,26 @@ static void contact(int arms, const MindingArrays &f, double dt) {
     const Vector3 sum = push.now - share * push.before;
     m->pushed = sum.norm();
     const double limit = (m->touches != 0.0 ? LET_GO : 1.0) * m->contact_limit;
-    const int clear = m->touches != 0.0 || (m->suspected == 0.0 && m->pushed > MORE_THAN_INTERNAL * m->sharpest);
+    const int clear = m->touches != 0.0 || (!m->suspected && m->pushed > MORE_THAN_INTERNAL * m->sharpest);
     push.impulse *= PUSHES_FADE / (PUSHES_FADE + dt);
     if (m->pushed >= m->contact_limit) push.impulse += dt * sum;
     const double stops = MORE_THAN_STOPPED * m->load_mass * m->load_speed + PUSHED_FOR * m->contact_limit;
-    if ((clear || push.impulse.norm() > stops) && m->pushed - LATE_LOAD * m->load_mass * m->load_haste >= limit) {
-        if (m->touches <= UNTIL_TOLD) push.back = turn_back(m, travel.velocity, sum), push.last.setZero();
+    if ((clear || push.impulse.norm() > stops) && m->pushed - LATE_LOAD * m->load_mass * m->load_acceleration >= limit) {
+        if (m->touches <= UNTIL_TOLD) push.back = begin_retreat(m, travel.velocity, sum), push.last.setZero();
         if (sum.norm() > push.last.norm()) push.last = sum;
         m->touches = CONTACT_LASTS;
     } else if (m->touches != 0.0) {
-        m->touches = maximum(m->touches - dt, m->goes_on != 0.0 ? 0.0 : UNTIL_TOLD);
+        m->touches = maximum(m->touches - dt, m->goes_on ? 0.0 : UNTIL_TOLD);
     }
-    m->backs = 0.0;
+    m->retreats_at = 0.0;
     if (m->touches == 0.0) return;
-    m->corrects = m->force_cap = 0.0;
-    go_back(m, sum, push.back, dt);
+    m->correction_share = m->force_cap = 0.0;
+    pace_retreat(m, sum, push.back, dt);
 }
 
 /* Take wrenches, and move the grasps where they give way. Returns HEARD, MISSED or SILENT. */
-static Hearing relax(int arms, Minding *m, const double *wrenches, double dt) {
-    MindingArrays f = minding_of(arms, m);
+static Hearing relax(int arms, ForceRelaxation *m, const double *wrenches, double dt) {
+    RelaxationArrays f = relaxation_of(arms, m);
     const int gives = gives_way(m);
     const Hearing heard = feel(arms, f, wrenches, dt);
     m->age += dt;
@@ -204,10 +204,10 @@ static Hearing relax(int arms, Minding *m, const double *wrenches, double dt) {
         return heard;
     }
     contact(arms, f, dt);
-    if (m->stage < RELAXING) m->start_size = maximum(m->start_size, m->size);
-    if (gives && m->backs == 0.0) /* what pushes the object also pushes the arms against each other */
+    if (m->stage < RELAXING) m->start_size = maximum(m->start_size, m->largest_force);
+    if (gives && m->retreats_at == 0.0) /* what pushes the object also pushes the arms against each other */
         give_way(arms, f, dt, m->stage == MOVING ? m->last_rate : 0.0);
-    come_back(arms, f, dt);
+    return_grasps(arms, f, dt);
     if (m->stage == RELAXING && m->sensor_fault == SENSORS_FINE) wait_at_rest(m, dt);
     return heard;
 }

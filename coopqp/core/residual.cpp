@@ -13,7 +13,7 @@
  * alone does not see a stalled arm, whose forces are relaxed; the servos do. */
 
 #include "functions.h"
-#include "minding.h"
+#include "force_relaxation.h"
 
 constexpr double SERVO_SLOWS = 6e-4; /* an arm this far from where its wrench puts its servos slows the object, */
 constexpr double SERVO_HOLDS = 1.2e-3; /* and holds it from this on [m] */
@@ -22,24 +22,24 @@ constexpr double SERVO_LATE = 4e-4;
 
 /* The grasps have given way: distances of the arms are counted from where they are told to hold the object now. */
 static void add_shift(const Core *c, Twists &away) {
-    const MindingArrays f = minding_of(c->arms, c->minding);
+    const RelaxationArrays f = relaxation_of(c->arms, c->relaxation);
     away += f.shift - f.held;
 }
 
 static void carry_servos(Core *c, Twists &base) {
-    MindingArrays f = minding_of(c->arms, c->minding);
+    RelaxationArrays f = relaxation_of(c->arms, c->relaxation);
     carry_drift(c, f.off_servos, f.off_drift, base);
 }
 
 /* By how much arm k gives way to a wrench on another one: both are the same but for arms that share joints. */
 using ComplianceOf = Eigen::Map<const Matrix6, 0, Eigen::OuterStride<>>;
-static ComplianceOf compliance_of(const Core *c, const MindingArrays &f, int k, int other) {
+static ComplianceOf compliance_of(const Core *c, const RelaxationArrays &f, int k, int other) {
     const int n = 6 * c->arms;
     return ComplianceOf(f.compliances + 6 * k * n + 6 * other, Eigen::OuterStride<>(n));
 }
 
 /* How far each arm is from where its servos should hold it by its wrench: away + C (w − share of the load) / ρ. */
-static void compare_with_servos(const Core *c, const MindingArrays &f, const Twists &away, Twists &off) {
+static void compare_with_servos(const Core *c, const RelaxationArrays &f, const Twists &away, Twists &off) {
     const Vector3 load = c->pose->R.transpose() * Vector3(f.m->weight_x, f.m->weight_y, f.m->weight_z);
     Twists pushed(c->scratch + 36 * c->arms, 6, c->arms);
     pushed.reshaped() = f.unfed_of.lazyProduct(f.felt.reshaped()) - f.carries.lazyProduct(load);
@@ -55,20 +55,20 @@ static void compare_with_servos(const Core *c, const MindingArrays &f, const Twi
 
 /* The largest acceleration of a joint as commanded, filtered and remembered for a while; while an arm is suspected, the object slows
  * down for that very reason, which must not excuse the arm. */
-static double haste(Core *c, Minding *m, double dt) {
+static double haste(Core *c, ForceRelaxation *m, double dt) {
     double most = 0.0;
     for (int j = 0; j < c->joints; j++) {
         const double change = (c->velocity[j] - c->told_velocity[j]) / (HASTE_FILTER + dt);
         most = max_of(most, fabs(change));
         c->told_velocity[j] += dt * change;
     }
-    m->haste = max_of(m->suspected != 0.0 ? 0.0 : most, m->haste * SERVO_PEAK / (SERVO_PEAK + dt));
-    return m->haste;
+    m->joint_acceleration = max_of(m->suspected ? 0.0 : most, m->joint_acceleration * SERVO_PEAK / (SERVO_PEAK + dt));
+    return m->joint_acceleration;
 }
 
 static void watch_servos(Core *c, const Twists &away, double dt, Seen *seen) {
-    MindingArrays f = minding_of(c->arms, c->minding);
-    Minding *m = f.m;
+    RelaxationArrays f = relaxation_of(c->arms, c->relaxation);
+    ForceRelaxation *m = f.m;
     const auto scratch = [&](int i) { return Twists(c->scratch + 6 * i * c->arms, 6, c->arms); };
     Twists off = scratch(0), at_grasps = scratch(1), apart = scratch(2);
     const double hasty = haste(c, m, dt);
@@ -82,7 +82,7 @@ static void watch_servos(Core *c, const Twists &away, double dt, Seen *seen) {
     if (m->servo_samples < FEW_SAMPLES) return;
     from_others(c->holding, f.off_servos, apart);
     const double most = max_of((apart - f.off_drift).cwiseAbs().maxCoeff(), 1e-300);
-    f.off_drift += min_of(LARGEST_SLOPE * m->way_done / most, 1.0) * (apart - f.off_drift); /* the load is shared otherwise */
+    f.off_drift += min_of(LARGEST_SLOPE * m->joint_way / most, 1.0) * (apart - f.off_drift); /* the load is shared otherwise */
     apart -= f.off_drift;
     int arm = 0;
     for (int k = 1; k < c->arms; k++)
@@ -92,7 +92,7 @@ static void watch_servos(Core *c, const Twists &away, double dt, Seen *seen) {
     const double soft = clamp(m->stiffer, SOFTEST, 1.0);
     const double worst = soft * (far - c->options->noise_margin * noise) - SERVO_LATE * hasty;
     m->suspected = worst > SERVO_SLOWS;
-    if (m->suspected == 0.0) return;
+    if (!m->suspected) return;
     Seen found;
     hold_for(&found, OFF_SERVOS, arm, far, 0.0);
     if (worst < SERVO_HOLDS) {

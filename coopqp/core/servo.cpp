@@ -1,4 +1,4 @@
-/* Going over to a new target in motion: the way there (coopqp/paths/servo.py defines it), and whether it is taken: if the first
+/* Retargeting to a new target in motion: the way there (coopqp/paths/servo.py defines it), and whether it is taken: if the first
  * step along it keeps to its rate and no joint jumps.
  *
  * The way begins at a rate: at the full one, or at the present one, then its twist is as much larger. If the object rests the
@@ -112,20 +112,20 @@ static int jumps(const Core *c, const double *velocity) {
     return 0;
 }
 
-/* Whether joints forbid the first step a rate, however far the object may be seen to go on; with some knots known. */
+/* Whether joints forbid the first step a rate, however far the object may be seen to go on; with some grid points known. */
 static int forbidden(Core *c, double rate) {
     const double clock = c->loop->clock;
     /* The cap says how fast corrections are, and how far the step looks along the path where its twist jumps. */
-    if (c->loop->correcting != 0.0 || next_breakpoint(c, clock) <= clock + c->options->nominal_dt) return 0;
+    if (c->loop->corrects || next_breakpoint(c, clock) <= clock + c->options->nominal_dt) return 0;
     observe(c, nullptr, nullptr);
-    c->given_rows = 0, c->proposal->cap = rate, c->proposal->keep = 1.0;
-    return propose_capped(c) == RAY && c->proposal->new_rate < rate - SURELY_LESS;
+    c->given_rows = 0, c->proposal->cap = rate, c->proposal->brake_keep = 1.0;
+    return propose_capped(c) == RATE_SEARCH && c->proposal->new_rate < rate - SURELY_LESS;
 }
 
 /* Try a path from the present clock on at a rate: 1 if its first step keeps to it, and no joint jumps; the joints may force
  * a rate above the cap. What was known ahead stays in the ring. */
 static int admits(Core *c, const double *numbers, double rate, int needed) {
-    const int kept = (int)c->ahead->count + (int)c->ahead->way + 2;
+    const int kept = c->ahead->count + c->ahead->passing + 2;
     const double clock = c->loop->clock, least = needed ? rate : 0.0;
     c->path_numbers = numbers;
     c->loop->rate = rate, c->loop->rate_slope = 0.0;
@@ -140,12 +140,12 @@ static int admits(Core *c, const double *numbers, double rate, int needed) {
     return try_step(c) >= rate - RATE_TOLERANCE && !jumps(c, c->command);
 }
 
-static int go_over(Core *c, const double *goal, double speed, double spin, double rate, double *numbers) {
+static int retarget(Core *c, const double *goal, double speed, double spin, double rate, double *numbers) {
     const double clock = c->loop->clock, now = c->loop->rate, *present = c->path_numbers;
     Vector6 twist;
     Way w;
     w.goal = *reinterpret_cast<const Pose *>(goal), w.speed = speed, w.spin = spin;
-    stay_near(c, c->positions, 0.5 * CLOSE_BY);
+    keep_sines(c, c->positions, 0.5 * CLOSE_BY);
     if (!path_pose(c, clock, w.T) || !path_twist(c, clock, twist)) return 0;
     const bool rests = !((now * twist).cwiseAbs().maxCoeff() > STILL_OBJECT);
     if (rests ? jumps(c, nullptr) : !(rate > 0.0)) return 0; /* at rest self-motion has to end before the new way begins */
@@ -159,10 +159,10 @@ static int go_over(Core *c, const double *goal, double speed, double spin, doubl
     const int taken = admits(c, numbers, rate, !rests);
     const Loop now_quiet = *c->loop; /* regions that are known now */
     *c->loop = loop;
-    c->loop->quiet_ahead = now_quiet.quiet_ahead;
+    c->loop->quiet_ahead_slack = now_quiet.quiet_ahead_slack;
     c->loop->quiet_slack = now_quiet.quiet_slack, c->loop->quiet_approach = now_quiet.quiet_approach;
     if (taken > 0) {
-        c->loop->rate = rate, c->loop->rate_slope = 0.0, c->ahead->kept = 0.0;
+        c->loop->rate = rate, c->loop->rate_slope = 0.0, c->ahead->kept = 0;
     } else {
         *c->ahead = ahead;
         c->path_numbers = present;

@@ -1,8 +1,8 @@
-/* How fast the object may be at a knot: linear programs of two variables, z = σ² and u = σ̇.
+/* How fast the object may be at a grid point: linear programs of two variables, z = σ² and u = σ̇.
  *
- * Between two knots the joints move at q′σ and accelerate at q′u + q″z; z changes by 2u per second of clock. From a knot
+ * Between two grid points the joints move at q′σ and accelerate at q′u + q″z; z changes by 2u per second of clock. From a grid point
  * with z the object has to be able to reach the next one with at most K there, within the accelerations. Unknown changes
- * of q″ between the knots count as a share e of its known changes. The largest such z is K here: a backward pass, as in
+ * of q″ between the grid points count as a share e of its known changes. The largest such z is K here: a backward pass, as in
  * TOPP-RA (Pham & Pham, 2018), over the known horizon. See "Look-ahead" in docs/derivations.md. */
 
 #include "ahead.h"
@@ -95,25 +95,25 @@ static double largest_along(const Lines *l, double z, int moves) {
 }
 
 static double largest_alone(const Core *c, int i) {
-    const double *slope = vector_of(c, c->knot_slope, i), *bend = vector_of(c, c->knot_curvature, i);
-    Lines l = lines_of(c, knot(c, i)->cap);
+    const double *slope = vector_of(c, c->node_slope, i), *bend = vector_of(c, c->node_curvature, i);
+    Lines l = lines_of(c, node(c, i)->cap);
     for (int j = 0; j < c->joints; j++) add_pair(&l, slope[j], bend[j], bend[j], 0.0, c->plan_acceleration[j], j);
     add_pair(&l, 1.0, 0.0, 0.0, 0.0, c->options->slope_cap, c->joints);
     return largest_z(&l);
 }
 
 static int find_share(Core *c, int i) {
-    Knot *here = knot(c, i);
-    const Knot *ahead = knot(c, i + 1);
-    const double *slope = vector_of(c, c->knot_slope, i), *chord = vector_of(c, c->knot_curvature, i + 1);
-    const double *before = vector_of(c, c->knot_curvature, i), *after = chord, *a = c->plan_acceleration;
+    Node *here = node(c, i);
+    const Node *ahead = node(c, i + 1);
+    const double *slope = vector_of(c, c->node_slope, i), *chord = vector_of(c, c->node_curvature, i + 1);
+    const double *before = vector_of(c, c->node_curvature, i), *after = chord, *a = c->plan_acceleration;
     const double span = ahead->span, two = 2.0 * span, most = c->options->slope_cap;
     double span_before = 0.0, span_after = 0.0;
     Lines l = lines_of(c, here->cap);
-    if (here->span > 0.0 && here->corner == 0.0) span_before = here->span;
-    if (i + 2 < (int)c->ahead->count && ahead->corner == 0.0) {
-        after = vector_of(c, c->knot_curvature, i + 2);
-        span_after = knot(c, i + 2)->span;
+    if (here->span > 0.0 && !here->corner) span_before = here->span;
+    if (i + 2 < c->ahead->count && !ahead->corner) {
+        after = vector_of(c, c->node_curvature, i + 2);
+        span_after = node(c, i + 2)->span;
     }
     for (int j = 0; j < c->joints; j++) {
         const double C = chord[j], arrival = slope[j] + C * span;
@@ -131,13 +131,13 @@ static int find_share(Core *c, int i) {
     add_line(&l, two, 1.0, ahead->square, c->joints + 1);
     const double z = largest_z(&l);
     here->square = z;
-    here->gain = 0.0;
-    here->until = INFINITY;
+    here->line_slope = 0.0;
+    here->line_to = INFINITY;
     const int high = l.high < 0 ? l.still : (int)l.row[l.high], low = l.low < 0 ? -1 : (int)l.row[l.low];
     if (high == c->joints + 1) {
         const double share = l.share[l.low], falls = l.slope[l.low], end = largest_along(&l, z, l.high);
-        here->gain = 1.0 / (1.0 - two * falls);
-        here->until = end + two * (share - falls * end);
+        here->line_slope = 1.0 / (1.0 - two * falls);
+        here->line_to = end + two * (share - falls * end);
     }
     return high >= 0 && high < c->joints ? high : low >= 0 && low < c->joints ? low : -1;
 }

@@ -1,7 +1,7 @@
 /* One step: observe the measurement, propose a command, commit it. See "The order of the attempts" in docs/derivations.md. */
 
 #include "functions.h"
-#include "minding.h"
+#include "force_relaxation.h"
 
 constexpr int MOST_TIGHTENINGS = 3; /* answers with rows that the one before broke by the bend of distances */
 constexpr double LEAST_PACE = 1e-3; /* the increment along the path is the mean over this share of a step at least */
@@ -25,13 +25,13 @@ constexpr int EXTRA_AT_START = 3; /* linearisations of a first or long step beyo
 constexpr double LONG_STEP = 0.03; /* a step that moves a joint further is linearised again [rad or m] */
 constexpr double BENT_STEP = 1e-6; /* so is one whose linearisation errs by more [rad²] */
 constexpr double CIRCLE_TOLERANCE = 0.05; /* how far (cos, sin) of a continuous joint may be from the unit circle */
-constexpr double CONTACT_ROOM = 0.02; /* an object that has met something goes back by no more than this [m], */
-constexpr double CONTACT_WAY = 0.2; /* and what it goes in this time [s] */
+constexpr double RETREAT_ROOM = 0.02; /* an object that has met something goes back by no more than this [m], */
+constexpr double RETREAT_TIME = 0.2; /* and what it goes in this time [s] */
 
 static void refuse(Core *c, Reason reason, int index, double a) {
     Proposal *p = c->proposal;
-    p->watch_cap = 0.0, p->hold = 1.0;
-    p->reason = reason, p->reason_arm = index, p->reason_a = a, p->reason_b = 0.0;
+    p->watch_cap = 0.0, p->hold = true;
+    p->reason = reason, p->reason_index = index, p->reason_a = a, p->reason_b = 0.0;
 }
 
 /* -- observe --------------------------------------------------------------------------------------------------------- */
@@ -84,15 +84,15 @@ static double measurement_time(const Core *c) {
 
 /* The object's error for the path correction: the commanded one plus the further measured error, which fades in slowly.
  * While the arms hold it is 0: the measured error of an arm that does not move would lead the others away without end. */
-static int let_in(Core *c, const double *positions, const double *q) {
+static int fade_in_measurement(Core *c, const double *positions, const double *q) {
     Proposal *p = c->proposal;
     const double h = p->dt;
-    const double corrects = c->minding ? c->minding->corrects : 1.0; /* arms that mind forces relax first */
-    if (!positions && !((c->loop->drifted != 0.0 || corrects < 1.0) && p->hold == 0.0)) {
+    const double corrects = c->relaxation ? c->relaxation->correction_share : 1.0; /* arms that relax forces relax first */
+    if (!positions && !((c->loop->has_drift || corrects < 1.0) && !p->hold)) {
         c->measured.setZero();
-        return p->hold != 0.0;
+        return p->hold;
     }
-    if (p->has_errors == 0.0) return 0;
+    if (!p->has_errors) return 0;
     const Vector6 commanded = common_error(c, c->errors);
     if (positions) {
         Twists &away = c->measured_away;
@@ -102,24 +102,24 @@ static int let_in(Core *c, const double *positions, const double *q) {
         away -= c->errors;
         watch_sample(c, positions, q, away, h);
         c->drift += h / (h + measurement_time(c)) * (found - commanded + c->latched - c->drift);
-        c->loop->drifted = 1.0;
+        c->loop->has_drift = true;
     }
-    c->measured = (p->hold != 0.0 ? 0.0 : corrects * p->watch_cap) * (commanded + c->drift);
+    c->measured = (p->hold ? 0.0 : corrects * p->watch_cap) * (commanded + c->drift);
     return 1;
 }
 
 /* An object that touches something goes back, unless something else holds it. Returns whether it does. */
-static int goes_back(Core *c) {
+static int retreat(Core *c) {
     const Proposal *p = c->proposal;
-    Minding *m = c->minding;
-    if (!m || m->backs == 0.0 || m->sensor_fault != SENSORS_FINE) return 0;
+    ForceRelaxation *m = c->relaxation;
+    if (!m || m->retreats_at == 0.0 || m->sensor_fault != SENSORS_FINE) return 0;
     const double gain = min_of(c->options->path_gain, 1.0 / p->dt);
-    if ((p->hold != 0.0 && p->reason != TOUCHING) || !(gain > 0.0) || p->has_errors == 0.0) return 0;
-    const Vector3 way = c->pose->R.transpose() * minding_of(c->arms, m).push->back;
+    if ((p->hold && p->reason != TOUCHING) || !(gain > 0.0) || !p->has_errors) return 0;
+    const Vector3 way = c->pose->R.transpose() * relaxation_of(c->arms, m).push->back;
     const double far = way.dot(common_error(c, c->errors).head<3>());
-    if (isnan(m->back_from)) m->back_from = far;
-    const double room = CONTACT_ROOM + CONTACT_WAY * m->back_speed - (far - m->back_from);
-    const double speed = minimum(m->backs, maximum(room, 0.0) / p->dt);
+    if (isnan(m->retreat_from)) m->retreat_from = far;
+    const double room = RETREAT_ROOM + RETREAT_TIME * m->retreat_speed - (far - m->retreat_from);
+    const double speed = minimum(m->retreats_at, maximum(room, 0.0) / p->dt);
     c->measured = both(-speed / gain * way, Vector3::Zero());
     return 1;
 }
@@ -132,7 +132,7 @@ static double pose_distance(const Pose &A, const Pose &B) {
 /* The reference pose; of a user's own path also how far it jumps, in this step or since the last. 0 if the path fails. */
 static int ask_for_path(Core *c, double h, double *far) {
     Pose later;
-    double *away = &c->loop->away;
+    double *away = &c->loop->path_distance;
     if (!path_pose(c, c->loop->clock, *c->pose)) return 0;
     if (c->path_numbers[2] != 0.0) return 1;
     if (!path_pose(c, c->loop->clock + h, later)) return 0;
@@ -148,7 +148,7 @@ static void observe(Core *c, const double *q, const double *dt) {
     double *positions = c->measured_positions;
     const double nominal = c->options->nominal_dt;
     *p = Proposal();
-    p->dt = nominal, p->watch_cap = 1.0, p->reason_arm = p->binding_row = p->cause.arm = p->cause.joint = -1.0;
+    p->dt = nominal, p->watch_cap = 1.0, p->reason_index = p->binding_row = p->cause.arm = p->cause.joint = -1.0;
     if (dt) {
         if (*dt >= c->options->dt_low * nominal && *dt <= c->options->dt_high * nominal)
             p->dt = *dt;
@@ -156,9 +156,9 @@ static void observe(Core *c, const double *q, const double *dt) {
             refuse(c, BAD_DT, -1, *dt);
     }
     if (q && !believe(c, q, positions)) q = nullptr;
-    stay_near(c, c->positions, 0.5 * CLOSE_BY);
+    keep_sines(c, c->positions, 0.5 * CLOSE_BY);
     c->contact_due = grasps_move(c) && contact_changes(c, c->loop->clock);
-    if (c->contact_due) c->was_drifted = c->loop->drifted, c->made = c->shares;
+    if (c->contact_due) c->was_drifted = c->loop->has_drift, c->made = c->shares;
     if (grasps_move(c)) place_grasps(c, c->loop->clock, c->grasp_shift), take_contact(c, c->loop->clock);
     carry(c, c->positions, c->carried);
     const int was_lost = c->loop->path_lost == 1.0;
@@ -167,28 +167,28 @@ static void observe(Core *c, const double *q, const double *dt) {
     const int known = ask_for_path(c, p->dt, &far);
     if (!known || far > FASTEST_PATH * p->dt) {
         c->loop->path_lost = 1.0;
-        c->loop->has_predicted = 0.0; /* that was from another reference */
+        c->loop->has_predicted = false; /* that was from another reference */
         q = nullptr;
         hold_here(c);
         refuse(c, known ? PATH_JUMPS : PATH_FAILED, -1, c->loop->clock);
         p->reason_b = far;
     }
-    if (c->loop->fault != 0.0) {
-        refuse(c, (Reason)(int)c->loop->fault, (int)c->loop->fault_arm, c->loop->fault_a);
-        p->reason_b = c->loop->fault_b, p->faults = 1.0;
+    if (c->loop->fault != NO_REASON) {
+        refuse(c, c->loop->fault, c->loop->fault_index, c->loop->fault_a);
+        p->reason_b = c->loop->fault_b, p->is_fault = true;
     }
     p->has_errors = view_errors(c, c->carried, c->errors);
-    if (p->has_errors != 0.0) watch_chain(c);
+    if (p->has_errors) watch_chain(c);
     if (grasps_move(c)) watch_ways(c, c->loop->clock);
-    p->has_measured = let_in(c, q ? positions : nullptr, q);
-    if (goes_back(c)) p->has_measured = 1.0;
+    p->has_measured = fade_in_measurement(c, q ? positions : nullptr, q);
+    if (retreat(c)) p->has_measured = true;
 }
 
 /* Take a change of contact that is due, or hold where an arm that attaches is not where it grasps. The object's measured error
  * goes on as it was under the shares before it, which `made` has: Σ (s⁻ − s) (e − ē) stays. */
 static void change_contact(Core *c) {
     Proposal *p = c->proposal;
-    const bool measured = p->has_measured && c->loop->drifted;
+    const bool measured = p->has_measured && c->loop->has_drift;
     if (measured && c->was_drifted) {
         const Vector6 kept = (c->made - c->shares).cwiseProduct(c->measured_away).rowwise().sum();
         const Vector6 change = p->dt / (p->dt + measurement_time(c)) * kept;
@@ -210,7 +210,7 @@ static void cap_rate(Core *c, double cap, LimitKind kind, int arm) {
 }
 
 /* The largest rate that the operator asks for. */
-static double rate_asked(const Core *c) { return c->loop->pause != 0.0 ? 0.0 : c->loop->overridden; }
+static double rate_asked(const Core *c) { return c->loop->paused ? 0.0 : c->loop->override_rate; }
 
 /* The fastest fall of the rate where nothing is known ahead [1/s]: all joints brake together, on a straight path. */
 static double blind_brake(const Core *c) {
@@ -223,11 +223,11 @@ static double blind_brake(const Core *c) {
 static bool moves(const Core *c) { return (c->velocity.array() != 0.0).any(); }
 
 /* The largest rate by the override, reached as fast as the joints can follow. */
-static double reined_rate(const Core *c, double h) {
+static double overridden_rate(const Core *c, double h) {
     const double share = rate_asked(c), rate = c->loop->rate;
-    double fall = c->options->rein_slope;
+    double fall = c->options->override_slope;
     if (share >= rate || !moves(c)) return share;
-    if (accelerates(c) && sees(c) && c->ahead->count > 0.0)
+    if (accelerates(c) && sees(c) && c->ahead->count > 0)
         fall = preview_brake(c, c->loop->clock, h, rate);
     else if (accelerates(c))
         fall = blind_brake(c);
@@ -235,13 +235,13 @@ static double reined_rate(const Core *c, double h) {
 }
 
 /* The null-space motion stops while the object is paused, and goes on after it. */
-static void ease_wishes(Core *c, double h) {
-    double *ease = &c->loop->ease;
-    const double change = c->options->rein_slope * h;
+static void blend_posture(Core *c, double h) {
+    double *posture_blend = &c->loop->posture_blend;
+    const double change = c->options->override_slope * h;
     if (rate_asked(c) < c->options->blocked_rate)
-        *ease = max_of(*ease - change, 0.0);
-    else if (*ease < 1.0)
-        *ease = min_of(*ease + change, 1.0);
+        *posture_blend = max_of(*posture_blend - change, 0.0);
+    else if (*posture_blend < 1.0)
+        *posture_blend = min_of(*posture_blend + change, 1.0);
 }
 
 /* A rate that a step will not exceed, whatever the path ahead allows. */
@@ -255,25 +255,25 @@ static double most_rate(const Core *c, double h) {
 static void find_cap(Core *c) {
     Proposal *p = c->proposal;
     const double h = p->dt, rate = c->loop->rate;
-    p->cap = 1.0, p->late = 0.0, p->keep = 1.0;
+    p->cap = 1.0, p->late = false, p->brake_keep = 1.0;
     if (c->loop->path_lost == 2.0) {
         c->loop->path_lost = 0.0;
         if (c->looks_ahead) preview_reset(c, c->loop->clock, 1); /* the known horizon is void after the path has failed */
     }
     if (sees(c)) p->cap = preview_cap(c, c->loop->clock, h, most_rate(c, h));
     /* A correction that can end within a step need not brake ahead: it would stop and start in turn beside a limit. */
-    if (accelerates(c) && (!sees(c) || (c->loop->correcting != 0.0 && !stops_at_once(c, h)))) {
+    if (accelerates(c) && (!sees(c) || (c->loop->corrects && !stops_at_once(c, h)))) {
         int joint = -1;
-        p->keep = brake_share(c, h, &joint);
-        p->late = p->keep < 1.0;
-        if (p->late != 0.0 && !sees(c) && p->keep * rate < p->cap) {
-            cap_rate(c, p->keep * rate, POSITION, arm_of(c, joint));
+        p->brake_keep = brake_share(c, h, &joint);
+        p->late = p->brake_keep < 1.0;
+        if (p->late && !sees(c) && p->brake_keep * rate < p->cap) {
+            cap_rate(c, p->brake_keep * rate, POSITION, arm_of(c, joint));
             p->cause.joint = joint;
         }
     }
-    const int by_arm = p->reason >= OUT_OF_STEP_BY && p->reason_arm >= 0.0; /* else it is an index, or nothing */
-    cap_rate(c, p->watch_cap, by_arm ? OUT_OF_STEP : NONE, by_arm ? (int)p->reason_arm : -1);
-    if (rate < 1.0 && c->options->looks_ahead != 0.0) {
+    const int by_arm = p->reason >= OUT_OF_STEP_BY && p->reason_index >= 0; /* else it is an index, or nothing */
+    cap_rate(c, p->watch_cap, by_arm ? OUT_OF_STEP : NONE, by_arm ? p->reason_index : -1);
+    if (rate < 1.0 && c->options->looks_ahead) {
         int joint = -1;
         const double most = sees(c) ? preview_rise(c, c->loop->clock, &joint) : INFINITY;
         const double rise = min_of(c->options->rise, most);
@@ -283,22 +283,22 @@ static void find_cap(Core *c) {
             if (by_joint) p->cause.joint = joint;
         }
     }
-    cap_rate(c, reined_rate(c, h), OVERRIDE, -1);
+    cap_rate(c, overridden_rate(c, h), OVERRIDE, -1);
 }
 
 /* Limit the error that the path correction sees, so that the correction is `keep` of the last one. */
 static void brake_correction(Core *c, double keep) {
-    if (c->proposal->has_measured == 0.0 && c->proposal->has_errors != 0.0) c->measured = common_error(c, c->errors);
+    if (!c->proposal->has_measured && c->proposal->has_errors) c->measured = common_error(c, c->errors);
     for (int part = 0; part < 6; part += 3) {
         const double now = c->options->path_gain * c->measured.segment<3>(part).norm();
-        const double allowed = c->loop->correcting != 0.0 ? keep * c->correcting.segment<3>(part).norm() : 0.0;
+        const double allowed = c->loop->corrects ? keep * c->correcting.segment<3>(part).norm() : 0.0;
         if (now > allowed) c->measured.segment<3>(part) *= allowed / now;
     }
-    c->proposal->has_measured = 1.0;
+    c->proposal->has_measured = true;
 }
 
-/* Joint velocities wished for in the null-space: along the elbows or the preview, or by the posture's rule. */
-static void wish(Core *c) {
+/* Joint velocities asked for in the null-space: along the elbows or the preview, or by the posture's rule. */
+static void find_null_reference(Core *c) {
     if (sees(c) && led(c)) {
         elbow_velocity(c, c->loop->clock, c->proposal->span, c->positions, c->null_along);
         c->null_offset.setZero();
@@ -309,8 +309,8 @@ static void wish(Core *c) {
         c->null_along.setZero();
         posture_velocity(c, c->positions, c->null_offset);
     }
-    if (c->loop->ease < 1.0) c->null_offset *= c->loop->ease;
-    if (c->proposal->hold != 0.0) c->null_offset.setZero();
+    if (c->loop->posture_blend < 1.0) c->null_offset *= c->loop->posture_blend;
+    if (c->proposal->hold) c->null_offset.setZero();
 }
 
 /* Mean twists of the object in a step of velocities v, as each arm carries it, in the world frame about the reference
@@ -368,8 +368,8 @@ static double parting_speed(const Core *c) {
 static bool solves(Core *c, double cap, int relax) {
     Proposal *p = c->proposal;
     p->relaxed = relax;
-    if (c->options->own_solver == 0.0) {
-        p->solved = 1.0;
+    if (!c->options->own_solver) {
+        p->asked_solver = true;
         return c->solve && c->solve(c, relax);
     }
     const int iterations = solve_condensed(c, cap, relax);
@@ -388,7 +388,7 @@ static Outcome settle_qp(Core *c, double cap) {
     for (int r = 0; r < c->further_rows; r++) soft |= c->further_soft[r] != 0.0;
     if (outside >= 0 && condense(c, cap, false)) {
         bool found = solves(c, cap, 0) || (soft && solves(c, cap, 1));
-        if (found && c->redundant && shrink_units(c, p->dt)) found = solves(c, cap, p->relaxed != 0.0);
+        if (found && c->redundant && shrink_units(c, p->dt)) found = solves(c, cap, p->relaxed);
         if (found && read_answer(c, cap)) return QP;
         if (condense(c, cap, true) && solves(c, cap, 1) && read_answer(c, cap)) {
             p->parting = parting_speed(c);
@@ -403,18 +403,18 @@ static Outcome settle_qp(Core *c, double cap) {
 static Outcome settle(Core *c, double cap) {
     Proposal *p = c->proposal;
     const double h = p->dt;
-    p->new_rate = cap, p->binding_row = -1.0, p->bindings = 0.0;
-    p->grasp_share = p->path_share = 1.0, p->made = !some_have_few(c), p->parting = 0.0, p->braked = 0.0;
+    p->new_rate = cap, p->binding_row = -1, p->bindings = 0;
+    p->grasp_share = p->path_share = 1.0, p->corrections_made = !some_have_few(c), p->parting = 0.0, p->braked = false;
     c->off_path.setZero();
-    if (c->options->shortcut != 0.0 && nominal_command(c, cap)) {
+    if (c->options->shortcut && nominal_command(c, cap)) {
         if (well_inside(c, h) && further_admissible(c, LIMIT_TOLERANCE)) return NOMINAL;
         if (box(c, h)) {
             if (admissible(c) && further_admissible(c, LIMIT_TOLERANCE)) {
                 clip(c, INFINITY);
                 return NOMINAL;
             }
-            if (ray(c, cap)) return RAY;
-            p->new_rate = cap, p->binding_row = -1.0;
+            if (search_rate(c, cap)) return RATE_SEARCH;
+            p->new_rate = cap, p->binding_row = -1;
         }
     }
     return settle_qp(c, cap);
@@ -472,7 +472,7 @@ static int brakes_together(const Core *c) {
 /* The ranked answer under the cap and the further rows, along the path as it is looked at; returns an outcome. */
 static Outcome answer_along(Core *c) {
     Proposal *p = c->proposal;
-    const int first = c->loop->first != 0.0;
+    const int first = c->loop->first_step;
     c->further_rows = c->given_rows;
     if (brakes_together(c)) brake_together(c);
     p->rows = c->further_rows;
@@ -496,16 +496,16 @@ static int look_along(Core *c, double span) {
     return path_increment(c, clock, span, *c->pose, c->along) && (!grasps_move(c) || grasp_increments(c, clock, span));
 }
 
-/* Motion that is wished for in the null-space over that share. */
-static void wish_along(Core *c) {
-    if (c->redundant) wish(c);
+/* Motion that is asked for in the null-space over that share. */
+static void reference_along(Core *c) {
+    if (c->redundant) find_null_reference(c);
     else if (any_follows_way(c)) c->null_along.setZero(), c->null_offset.setZero();
-    if (grasps_move(c)) wish_along_ways(c, c->loop->clock, c->proposal->span, c->proposal->dt);
+    if (grasps_move(c)) reference_along_ways(c, c->loop->clock, c->proposal->span, c->proposal->dt);
 }
 
 /* The wanted motion over that share. */
 static void want(Core *c) {
-    wish_along(c);
+    reference_along(c);
     corrections(c, c->proposal->dt);
     if (c->few) keep_whole(c);
 }
@@ -543,7 +543,7 @@ static int look_at_pace(Core *c) {
     const bool other = known && rate * h * pace.farthest > OFF_PACE;
     const double saved = span - way;
     if (other && rate < p->cap - RATE_TOLERANCE) {
-        if (p->paces == 0.0) { /* to first order, where the path is as far on as the answer leads; more leads as far if it rests */
+        if (p->paces == 0) { /* to first order, where the path is as far on as the answer leads; more leads as far if it rests */
             const double missed = way * pace.along, slope = pace.size - missed / saved;
             if (slope > PACE_STANDS * pace.size) way -= missed / slope;
             else if (saved < 0.0) way = h;
@@ -566,7 +566,7 @@ static int look_at_pace(Core *c) {
 /* The ranked answer, over the share of the clock that it takes. */
 static Outcome answer(Core *c) {
     Outcome outcome = answer_along(c);
-    for (c->proposal->paces = 0.0; look_at_pace(c);) outcome = answer_along(c);
+    for (c->proposal->paces = 0; look_at_pace(c);) outcome = answer_along(c);
     return outcome;
 }
 
@@ -574,7 +574,7 @@ static Outcome answer(Core *c) {
 static Outcome propose_capped(Core *c) {
     Proposal *p = c->proposal;
     const double h = p->dt, clock = c->loop->clock, rest = c->duration - clock;
-    if (p->late != 0.0) brake_correction(c, p->keep);
+    if (p->late) brake_correction(c, p->brake_keep);
     if (rest < h * p->cap) p->cap = rest / h; /* the last step ends at the end */
     /* The mean along the path has to see a corner that the step may reach. */
     const int corner = sees(c) && next_breakpoint(c, clock) <= clock + h * p->cap;
@@ -608,7 +608,7 @@ static Outcome settle_with_rows(Core *c) {
     if (certified || !c->asks_rows) outcome = propose_with_rows(c);
     if (!c->asks_rows) return outcome;
     if (certified && quiet_step(c)) {
-        if (!c->knot_asked) c->ask(c, ASK_SURVEY); /* not every piece of work on bodies in one step */
+        if (!c->node_asked) c->ask(c, ASK_SURVEY); /* not every piece of work on bodies in one step */
         return outcome;
     }
     if (certified && c->ask(c, ASK_CLEAR) == 1) return outcome;
@@ -623,7 +623,7 @@ static Outcome settle_with_rows(Core *c) {
  * who is known to hold the object. */
 static Outcome propose(Core *c) {
     if (c->contact_due) change_contact(c);
-    c->knot_asked = c->surveyed = 0;
+    c->node_asked = c->surveyed = 0;
     return settle_with_rows(c);
 }
 
@@ -641,9 +641,9 @@ static void write_bindings(Core *c, double *entries, int *position, int *acceler
     const Proposal *p = c->proposal;
     const int most = c->joints + c->rows;
     int count = 0;
-    const int rows = p->outcome == RAY && p->binding_row >= 0.0 ? 1 : (int)p->bindings;
+    const int rows = p->outcome == RATE_SEARCH && p->binding_row >= 0 ? 1 : p->bindings;
     for (int i = 0; i < rows && count < most; i++, count++) {
-        const int single = p->outcome == RAY, row = (int)(single ? p->binding_row : c->bindings[2 * i]);
+        const int single = p->outcome == RATE_SEARCH, row = (int)(single ? p->binding_row : c->bindings[2 * i]);
         const double side = single ? p->binding_side : c->bindings[2 * i + 1];
         const int joint = row < c->joints;
         entries[4 * count] = joint ? kind_of(c, row, side, p->dt) : CONSTRAINT;
@@ -669,7 +669,7 @@ static void write_bindings(Core *c, double *entries, int *position, int *acceler
 
 static Status slow_status(const Core *c, double rate, int position, int acceleration) {
     const int rising = rate > c->loop->rate + RATE_ROUNDING, outside = any_outside(c);
-    const int ends = position || (sees(c) && c->ahead->ends != 0.0);
+    const int ends = position || (sees(c) && c->ahead->ends_in_stop);
     const int arriving = ends && !rising && !outside;
     if (rate >= c->options->blocked_rate * (arriving ? ARRIVING : 1.0)) return SLOWED;
     /* The bound on its rise, or a part of the path that is not yet seen, keeps the rate small without a limit. From rest
@@ -677,29 +677,29 @@ static Status slow_status(const Core *c, double rate, int position, int accelera
      * again after it. */
     const double clock = c->loop->clock, dt = c->options->nominal_dt;
     if (sees(c) && !ends && rate > 0.0 && next_breakpoint(c, clock - dt) <= clock + dt) return SLOWED;
-    return c->record->bindings == 0.0 || (acceleration && (rising || outside)) ? SLOWED : BLOCKED;
+    return c->record->bindings == 0 || (acceleration && (rising || outside)) ? SLOWED : BLOCKED;
 }
 
 /* The status that a step alone would say, or that of the last step, which lasts a moment. */
 static Status lasting(Core *c, Status found, double rate) {
-    const double h = c->proposal->dt, last = c->loop->said;
+    const double h = c->proposal->dt, last = c->loop->status;
     double more = 0.0, most = 0.0;
-    if (last == BLOCKED && found == SLOWED && c->record->bindings > 0.0)
+    if (last == BLOCKED && found == SLOWED && c->record->bindings > 0)
         more = rate * h, most = STILL_BLOCKED;
     else if (last == SLOWED && found == TRACKING && !sees(c))
         more = h, most = STILL_SLOWED;
-    if (more > 0.0 && c->loop->outdated + more <= most) {
-        c->loop->outdated += more;
+    if (more > 0.0 && c->loop->status_age + more <= most) {
+        c->loop->status_age += more;
         return last == BLOCKED ? BLOCKED : SLOWED;
     }
-    if (last != BLOCKED || found != BLOCKED) c->loop->outdated = 0.0;
+    if (last != BLOCKED || found != BLOCKED) c->loop->status_age = 0.0;
     return found;
 }
 
 /* How far the object is off its path [m], [rad], by the measurements; 0 within the options' bounds. */
 static int off_its_path(const Core *c, double *distance, double *angle) {
     Vector6 e = common_error(c, c->errors);
-    if (c->loop->drifted != 0.0) e += c->drift;
+    if (c->loop->has_drift) e += c->drift;
     const double far = c->options->off_path_distance, wide = c->options->off_path_angle, turn = e.tail<3>().norm();
     if (!(e.head<3>().norm() > far) && !(turn > wide)) return 0; /* the shift is at most as long as the twist's */
     const double shift = exp6(e).p.norm();
@@ -715,7 +715,7 @@ static int rests(const Core *c) {
 static void bind_override(Core *c, double *entries) {
     static const double by_override[4] = {OVERRIDE, -1.0, -1.0, -1.0};
     memcpy(entries, by_override, sizeof by_override);
-    c->record->bindings = 1.0;
+    c->record->bindings = 1;
 }
 
 /* Set the start of the next step. */
@@ -729,16 +729,16 @@ static void move_on(Core *c, double rate, double clock_next) {
         c->predicted.col(k) += h * rate * (grasps_move(c) ? Vector6(c->own_along.col(k) - c->whole_own.col(k)) : Vector6(c->along - c->whole_along));
     const Vector6 bend = bend_of_way(c->errors.col(0), c->predicted.col(0));
     for (int k = 0; k < c->arms; k++) c->predicted.col(k) += c->errors.col(k) + bend;
-    if (p->outcome == QP || accelerates(c)) c->loop->correcting = twist.squaredNorm() > NEGLIGIBLE, c->correcting = twist;
+    if (p->outcome == QP || accelerates(c)) c->loop->corrects = twist.squaredNorm() > NEGLIGIBLE, c->correcting = twist;
     c->foreseen = c->foresees;
-    c->before = c->loop->first != 0.0 ? c->stand_in : c->velocity;
+    c->before = c->loop->first_step ? c->stand_in : c->velocity;
     c->velocity = c->command;
     c->positions += h * c->command;
-    c->loop->has_predicted = p->parting == 0.0 && p->braked == 0.0 && c->loop->path_lost == 0.0;
+    c->loop->has_predicted = p->parting == 0.0 && !p->braked && c->loop->path_lost == 0.0;
     /* A start sets the rate, and where no acceleration is limited the first step may leave it by a jump: no slope. */
-    const int jumped = c->loop->first != 0.0 && !accelerates(c);
+    const int jumped = c->loop->first_step && !accelerates(c);
     c->loop->rate_slope = jumped ? 0.0 : (rate - c->loop->rate) / h;
-    c->loop->last_dt = h, c->loop->clock = clock_next, c->loop->rate = rate, c->loop->first = 0.0;
+    c->loop->last_dt = h, c->loop->clock = clock_next, c->loop->rate = rate, c->loop->first_step = false;
 }
 
 static void write_configuration(const Core *c, double *q) {
@@ -752,9 +752,9 @@ static void write_configuration(const Core *c, double *q) {
 /* Keep the end of every so many steps for the way back, until it is read: coopqp/control/operator/trail.py. */
 static void keep_travelled(Core *c) {
     Travels *kept = c->travels;
-    if (!(kept->stride > 0.0) || --kept->left > 0.0 || !(kept->count >= 0.0 && kept->count < MOST_TRAVELS)) return;
+    if (!(kept->stride > 0) || --kept->left > 0 || !(kept->count >= 0 && kept->count < MOST_TRAVELS)) return;
     kept->left = kept->stride;
-    double *row = c->travelled + (int)kept->count++ * (2 + 2 * c->joints);
+    double *row = c->travelled + kept->count++ * (2 + 2 * c->joints);
     row[0] = c->loop->clock, row[1] = c->loop->rate;
     Vector(row + 2, c->joints, 1) = c->positions;
     Vector(row + 2 + c->joints, c->joints, 1) = c->velocity;
@@ -769,7 +769,7 @@ static Status commit(Core *c) {
     double clock_next = clock + rate * h;
     if (c->duration - clock_next < 1e-9 * c->duration) clock_next = c->duration;
     /* the last step needs the full rate */
-    const double share = rate >= 1.0 || (clock_next >= c->duration && p->hold == 0.0) ? 1.0 : rate;
+    const double share = rate >= 1.0 || (clock_next >= c->duration && !p->hold) ? 1.0 : rate;
     Status status = TRACKING;
     int position, acceleration;
     write_bindings(c, off_path + 6, &position, &acceleration);
@@ -777,31 +777,31 @@ static Status commit(Core *c) {
     status = lasting(c, status, share);
     if (rate_asked(c) < c->options->blocked_rate && share < c->options->blocked_rate) {
         status = rests(c) ? PAUSED : SLOWED;
-        if (r->bindings == 0.0) bind_override(c, off_path + 6);
+        if (r->bindings == 0) bind_override(c, off_path + 6);
     }
-    r->away = r->turned = 0.0, r->measured = c->loop->drifted;
-    if (p->hold != 0.0 || p->braked != 0.0)
+    r->away = r->turned = 0.0, r->measured = c->loop->has_drift;
+    if (p->hold || p->braked)
         status = HOLDING;
     else if (off_its_path(c, &r->away, &r->turned))
         status = OFF_PATH;
     else if (status == PAUSED)
         bind_override(c, off_path + 6); /* before any other reason to stop */
-    if (p->hold != 0.0 && p->faults != 0.0) {
+    if (p->hold && p->is_fault) {
         status = FAULTED;
-        if (c->loop->fault == 0.0)
-            c->loop->fault = p->reason, c->loop->fault_arm = p->reason_arm, c->loop->fault_a = p->reason_a,
+        if (c->loop->fault == NO_REASON)
+            c->loop->fault = p->reason, c->loop->fault_index = p->reason_index, c->loop->fault_a = p->reason_a,
             c->loop->fault_b = p->reason_b;
     }
-    if (status == TRACKING && p->outcome != QP) r->bindings = 0.0;
+    if (status == TRACKING && p->outcome != QP) r->bindings = 0;
     const int stopped = status == SLOWED || status == BLOCKED;
-    for (int i = 0; i < (int)r->bindings && stopped && p->reason == NO_REASON; i++)
+    for (int i = 0; i < r->bindings && stopped && p->reason == NO_REASON; i++)
         if (off_path[6 + 4 * i] == PATH_JUMP && c->ahead->jump_by != 0.0)
             p->reason = PATH_JUMPS, p->reason_a = c->ahead->jump_at, p->reason_b = c->ahead->jump_by;
-    if (p->braked != 0.0 && p->reason == NO_REASON) p->reason = UNSOLVED;
-    r->braked = p->braked != 0.0 && p->hold == 0.0;
-    c->loop->said = status;
+    if (p->braked && p->reason == NO_REASON) p->reason = UNSOLVED;
+    r->braked = p->braked && !p->hold;
+    c->loop->status = status;
     r->dt = h, r->clock = clock, r->clock_next = clock_next, r->rate = share, r->status = status;
-    r->reason = p->reason, r->reason_arm = p->reason_arm, r->reason_a = p->reason_a, r->reason_b = p->reason_b;
+    r->reason = p->reason, r->reason_index = p->reason_index, r->reason_a = p->reason_a, r->reason_b = p->reason_b;
     r->grasp_share = p->grasp_share, r->path_share = p->path_share, r->parting = p->parting;
     r->outcome = p->outcome, r->iterations = p->iterations, r->apart = p->apart;
     Twist(off_path, 6, 1) = c->off_path;
@@ -810,7 +810,7 @@ static Status commit(Core *c) {
     chain_watched(c);
     move_on(c, rate, clock_next);
     keep_travelled(c);
-    ease_wishes(c, h);
+    blend_posture(c, h);
     write_configuration(c, q_next);
     return status;
 }
@@ -819,20 +819,20 @@ static Status commit(Core *c) {
 
 /* Start along a path at `clock`. */
 static void start_path(Core *c, double clock, double rate) {
-    c->loop->clock = clock, c->loop->first = 1.0, c->loop->has_predicted = 0.0;
+    c->loop->clock = clock, c->loop->first_step = true, c->loop->has_predicted = false;
     c->loop->rate = rate, c->loop->rate_slope = 0.0;
-    stay_near(c, c->positions, 0.0); /* so that a restart repeats to the last bit */
-    c->loop->away = INFINITY;
-    c->loop->said = TRACKING;
+    keep_sines(c, c->positions, 0.0); /* so that a restart repeats to the last bit */
+    c->loop->path_distance = INFINITY;
+    c->loop->status = TRACKING;
     if (c->looks_ahead) preview_reset(c, clock, 0);
 }
 
 /* Start at rest at `positions`. */
 static void start(Core *c, const double *positions) {
-    const double override = c->loop->overridden, pause = c->loop->pause; /* a start ends neither */
+    const double override = c->loop->override_rate, pause = c->loop->paused; /* a start ends neither */
     *c->loop = Loop();
-    c->loop->overridden = override, c->loop->pause = pause;
-    c->loop->ease = rate_asked(c) < c->options->blocked_rate ? 0.0 : 1.0;
+    c->loop->override_rate = override, c->loop->paused = pause;
+    c->loop->posture_blend = rate_asked(c) < c->options->blocked_rate ? 0.0 : 1.0;
     c->positions = Given(positions, c->joints);
     c->velocity.setZero(), c->before.setZero();
     c->drift.setZero(), c->latched.setZero(), c->correcting.setZero();

@@ -41,7 +41,7 @@ namespace BUILD {
 #include "relax.cpp"
 #include "allow.cpp"
 
-const Arithmetic arithmetic = {start, start_path, observe, propose, commit, try_step, jumps, move_grasp, mind, minded,
-                               carry_and_linearise, least_distance, go_over, relax, allow};
+const Arithmetic arithmetic = {start, start_path, observe, propose, commit, try_step, jumps, move_grasp, relax_before_step, relax_after_step,
+                               carry_and_linearise, least_distance, retarget, relax, allow};
 
 }  // namespace BUILD

@@ -117,11 +117,11 @@ static int has_lost(const Core *c, int k) { return c->lost[k] > 0.0 && c->lost[k
 /* A lost sample says nothing: the distance stays as it was. */
 static void keep_where_lost(Core *c, const double *q, Twists &away) {
     for (int k = 0; k < c->arms; k++) {
-        c->lost[k] = c->watch->has_seen != 0.0 && repeats(c, k, q) ? c->lost[k] + 1.0 : 0.0;
+        c->lost[k] = c->watch->has_seen && repeats(c, k, q) ? c->lost[k] + 1.0 : 0.0;
         if (has_lost(c, k)) away.col(k) = c->away.col(k);
     }
     memcpy(c->seen, q, sizeof(double) * (size_t)c->nq);
-    c->watch->has_seen = 1.0;
+    c->watch->has_seen = true;
 }
 
 /* Noise in unfiltered deviations of arms that hold [m, rms], from their second differences, which motion hardly has. */
@@ -160,11 +160,11 @@ static double shrink_drift(Core *c, double *change) {
 static void update_drift(Core *c, const Twists &apart, double noise, double speed, double most, double dt,
                          Twists &change) {
     Watch *w = c->watch;
-    const double fresh = dt / (SMOOTHING + dt), limit = c->options->let_in;
+    const double fresh = dt / (SMOOTHING + dt), limit = c->options->drift_limit;
     w->drift_speed += fresh * (speed - w->drift_speed);
-    w->var_drift += WANDER * WANDER * dt;
+    w->drift_variance += WANDER * WANDER * dt;
     const double s = w->drift_speed;
-    const double hb = w->var_drift + w->covariance * s, hc = w->covariance + w->var_lag * s;
+    const double hb = w->drift_variance + w->drift_lag_covariance * s, hc = w->drift_lag_covariance + w->lag_variance * s;
     const double scale = 1.0 / (hb + hc * s + (DRIFT_FLOOR * DRIFT_FLOOR + noise * noise) * DRIFT_SAMPLE / dt);
     c->apart += fresh * (apart - c->apart);
     for (int k = 0; k < c->arms; k++) {
@@ -175,19 +175,19 @@ static void update_drift(Core *c, const Twists &apart, double noise, double spee
     const double largest = shrink_drift(c, change);
     const double share = largest > most ? most / largest : 1.0;
     c->slow_drift = (c->slow_drift + share * change).cwiseMax(-limit).cwiseMin(limit);
-    w->var_drift = max_of(w->var_drift - scale * hb * hb, 0.0);
-    w->covariance -= scale * hb * hc;
+    w->drift_variance = max_of(w->drift_variance - scale * hb * hb, 0.0);
+    w->drift_lag_covariance -= scale * hb * hc;
     /* Too fast for a drift: the lag may have changed. */
-    w->var_lag = largest > most ? LAG * LAG : max_of(w->var_lag - scale * hc * hc, LEAST_LAG * LEAST_LAG);
+    w->lag_variance = largest > most ? LAG * LAG : max_of(w->lag_variance - scale * hc * hc, LEAST_LAG * LEAST_LAG);
 }
 
 /* Distances without the drift. */
 static void without_drift(Core *c, const Twists &apart, double noise, double dt, Twists &out) {
     Watch *w = c->watch;
     w->drift_since += dt;
-    if (w->drift_started == 0.0) {
+    if (!w->drift_started) {
         c->drift_last = c->positions;
-        w->drift_started = 1.0;
+        w->drift_started = true;
     } else if (w->drift_since >= DRIFT_PERIOD) {
         const double way = (c->positions - c->drift_last).cwiseAbs().maxCoeff(); /* joints count with a lever of 1 m */
         c->drift_last = c->positions;
@@ -199,11 +199,11 @@ static void without_drift(Core *c, const Twists &apart, double noise, double dt,
 
 /* Distances of rigid grips, which have no lag in them, without a drift that follows them at once. */
 static void follow_drift(Core *c, const Twists &apart, double dt, Twists &out) {
-    const double limit = c->options->let_in, started = c->watch->drift_started;
+    const double limit = c->options->drift_limit, started = c->watch->drift_started;
     const double way = started != 0.0 ? (c->positions - c->drift_last).cwiseAbs().maxCoeff() : 0.0;
     c->drift_last = c->positions;
-    c->watch->drift_started = 1.0;
-    c->minding->way_done = way;
+    c->watch->drift_started = true;
+    c->relaxation->joint_way = way;
     out = apart - c->slow_drift;
     const double share = min_of((LARGEST_SLOPE * way + GROWS * dt) / max_of(out.cwiseAbs().maxCoeff(), 1e-300), 1.0);
     c->slow_drift = (c->slow_drift + share * out).cwiseMax(-limit).cwiseMin(limit);
@@ -225,19 +225,19 @@ static void carry_drift(const Core *c, const Twists &values, Twists &drift, Twis
     from_others(c->holding, base, drift);
 }
 
-/* Of arms that mind forces; see residual.cpp. */
+/* Of arms that relax forces; see residual.cpp. */
 static void carry_servos(Core *c, Twists &base);
 
 static void take_over(Core *c, Twists &base) {
-    const double limit = c->options->let_in;
-    if (c->watch->lag_begun != 0.0)
+    const double limit = c->options->drift_limit;
+    if (c->watch->lag_time != 0.0)
         c->lag_base += mean_where(c->holding, c->deviation) - mean_where(c->held, c->deviation);
     carry_drift(c, c->deviation, c->slow_drift, base);
     c->slow_drift = c->slow_drift.cwiseMax(-limit).cwiseMin(limit);
-    if (c->minding) carry_servos(c, base);
+    if (c->relaxation) carry_servos(c, base);
     from_others(c->holding, c->deviation, c->apart);
     c->lag.setZero();
-    c->watch->var_lag = LAG * LAG, c->watch->covariance = 0.0;
+    c->watch->lag_variance = LAG * LAG, c->watch->drift_lag_covariance = 0.0;
     c->held = c->holding;
 }
 
@@ -269,7 +269,7 @@ static int as_far(const Twists &out_of_step, int k, double largest) {
 /* Of arms equally far from the others, as two arms always are, the one that is not where it should be; of several, the
  * one that was named last, or the first. */
 static int most_out_of_step(const Core *c, const Twists &out_of_step, double largest) {
-    const int last = (int)c->watch->watch_arm;
+    const int last = c->watch->cap_arm;
     double most = -1.0;
     int arm = -1;
     for (int k = 0; k < c->arms; k++)
@@ -290,11 +290,11 @@ static void watch_distances(Core *c, const double *q, const Twists &away_given, 
     if ((c->held.array() != c->holding.array()).any()) take_over(c, apart);
     c->deviation += dt / (o->filter_time + dt) * (away - c->deviation);
     const double share = sqrt(dt / (2.0 * o->filter_time + dt)); /* of the noise that passes the filter */
-    const double noise = share * noise_seen(c, &c->watch->samples, c->away, c->away_step, c->noise, away, dt);
+    const double noise = share * noise_seen(c, &c->watch->noise_samples, c->away, c->away_step, c->noise, away, dt);
     from_others(c->holding, c->deviation, apart);
-    if (o->let_in > 0.0 && rigid)
+    if (o->drift_limit > 0.0 && rigid)
         follow_drift(c, apart, dt, out_of_step);
-    else if (o->let_in > 0.0)
+    else if (o->drift_limit > 0.0)
         without_drift(c, apart, noise, dt, out_of_step);
     else
         out_of_step = apart;
@@ -302,7 +302,7 @@ static void watch_distances(Core *c, const double *q, const Twists &away_given, 
     const double largest = sqrt(largest_square(out_of_step));
     const double worst = largest - o->noise_margin * noise;
     c->watch->lag_noise = o->noise_margin * noise / sqrt(max_of(c->holding.sum(), 1.0)) + max_of(worst, 0.0); /* see watch_lag() */
-    if (worst <= o->slow_from || c->watch->samples < FEW_SAMPLES) return;
+    if (worst <= o->slow_from || c->watch->noise_samples < FEW_SAMPLES) return;
     const int arm = most_out_of_step(c, out_of_step, largest);
     hold_for(seen, OUT_OF_STEP_BY, arm, out_of_step.col(arm).norm(), 0.0);
     seen->fault = worst >= o->fault_from && c->watch->far_samples >= FAULT_SAMPLES;
@@ -315,7 +315,7 @@ static void watch_distances(Core *c, const double *q, const Twists &away_given, 
 
 /* The sample so many samples before the last one, or the oldest. */
 static const double *sample_before(const Core *c, int samples) {
-    const int count = (int)c->watch->past_count, last = (int)c->watch->past_head + c->past - 1;
+    const int count = c->watch->past_count, last = c->watch->past_head + c->past - 1;
     return c->history + 2 * (size_t)c->joints * (size_t)((last - (samples < count ? samples : count - 1)) % c->past);
 }
 
@@ -333,8 +333,8 @@ static void remember(Core *c, const double *positions) {
 /* The least of the largest motions that the joints of arm k were commanded to make in as many samples, now or up to LAG ago: one
  * of them is what a late arm should have made. */
 static double least_told(const Core *c, int k, double told) {
-    const int samples = (int)c->options->stall_samples, n = joints_behind(c, k);
-    const int late = (int)c->watch->past_count - 1 - samples;
+    const int samples = c->options->stall_samples, n = joints_behind(c, k);
+    const int late = c->watch->past_count - 1 - samples;
     for (int i = 1; i <= late; i++) {
         const double *from = sample_before(c, samples + i) + c->joints, *to = sample_before(c, i) + c->joints;
         double most = 0.0;
@@ -396,11 +396,11 @@ static void note_stalls(Core *c, const double *told, const double *moved, const 
     }
 }
 
-/* Of arms in rigid grips that mind forces, their wrenches say more: here, only whether all have stopped. */
+/* Of arms in rigid grips that relax forces, their wrenches say more: here, only whether all have stopped. */
 static void watch_stall(Core *c, const double *positions, double dt, int rigid, Seen *seen) {
     double *told = c->scratch, *moved = told + c->arms, *gap = moved + c->arms;
     remember(c, positions);
-    const double *before = sample_before(c, (int)c->options->stall_samples);
+    const double *before = sample_before(c, c->options->stall_samples);
     for (int k = 0; k < c->arms; k++) moves_of(c, k, positions, before, told + k, moved + k, gap + k);
     let_go_who_caught_up(c, gap);
     note_stalls(c, told, moved, gap, dt);
@@ -513,7 +513,7 @@ static int deflect(Core *c, const double *positions, double dt, double *velocity
     for (int g = 0; g < c->groups; g++)
         for (int i = 0; i < c->group[g].shared; i++) bend(c->group[g].joint[i]);
     c->commanded = c->positions;
-    c->watch->has_commanded = 1.0;
+    c->watch->has_commanded = true;
     return fastest <= AT_REST;
 }
 
@@ -538,8 +538,8 @@ static void find_behind(Core *c, const Twists &jacobian, const double *C, const 
         if (!(straight > straightest)) continue;
         straightest = straight;
         w->behind = k;
-        w->gap = back.head<3>().norm();
-        w->pull = (total - wrenches.col(k)).head<3>().norm();
+        w->behind_gap = back.head<3>().norm();
+        w->behind_pull = (total - wrenches.col(k)).head<3>().norm();
     }
 }
 
@@ -574,16 +574,16 @@ static int read_forces(Core *c, const double *positions, double dt) {
         c->forces[k] = wrenches.col(k).head<3>().norm();
         if (larger(c->forces[most], c->forces[k]) != c->forces[most]) most = k;
     }
-    w->behind = -1.0;
+    w->behind = -1;
     if (!rests) {
         for (int k = 0; k < n; k++) {
             for (int i = 0; i < joints_behind(c, k); i++) c->way[joint_behind(c, k, i)] = velocity[joint_behind(c, k, i)];
         }
-        w->rest = 0.0;
+        w->rest_time = 0.0;
         return most;
     }
-    w->rest += dt;
-    if (w->rest > SERVOS_SETTLED) find_behind(c, jacobian, C, wrenches, c->forces[most]);
+    w->rest_time += dt;
+    if (w->rest_time > SERVOS_SETTLED) find_behind(c, jacobian, C, wrenches, c->forces[most]);
     return most;
 }
 
@@ -605,15 +605,15 @@ static void watch_forces(Core *c, const double *positions, double dt, Seen *seen
         if (k == most) soon = own;
     }
     const double force = c->forces[most];
-    w->pressed = !(soon < (w->pressed != 0.0 ? LET_GO * limit : limit));
-    if (w->pressed == 0.0) return;
-    if (w->behind < 0.0)
+    w->force_holds = !(soon < (w->force_holds ? LET_GO * limit : limit));
+    if (!w->force_holds) return;
+    if (w->behind < 0)
         hold_for(seen, force < limit && soon >= limit ? FORCE_GROWS : FORCE, most, force, soon);
     else
-        hold_for(seen, HANGS_BEHIND, (int)w->behind, w->gap, w->pull);
+        hold_for(seen, HANGS_BEHIND, w->behind, w->behind_gap, w->behind_pull);
 }
 
-/* Of arms that mind forces; see residual.cpp. */
+/* Of arms that relax forces; see residual.cpp. */
 static void add_shift(const Core *c, Twists &away);
 static void watch_servos(Core *c, const Twists &away, double dt, Seen *seen);
 static void watch_lag(Core *c, double dt, Seen *seen);
@@ -629,25 +629,25 @@ static int all_finite(const Core *c, const double *positions, const Twists &away
 /* A slowed object is let go at such a pace that it takes a while from rest. */
 static void recover(Core *c, double dt, Seen *seen) {
     Watch *w = c->watch;
-    const double allowed = w->watch_rate + dt / c->options->recovery_time;
+    const double allowed = w->rate_cap + dt / c->options->recovery_time;
     if (allowed < seen->cap) {
         seen->cap = allowed;
-        if (seen->reason == NO_REASON) seen->reason = WAS_OUT_OF_STEP, seen->arm = (int)w->watch_arm;
+        if (seen->reason == NO_REASON) seen->reason = WAS_OUT_OF_STEP, seen->arm = w->cap_arm;
     }
-    w->watch_rate = seen->cap;
-    w->watch_arm = seen->arm;
+    w->rate_cap = seen->cap;
+    w->cap_arm = seen->arm;
 }
 
 /* Slow arms that are out of step down gently: a jolt would be a force of its own. */
 static void fall_gently(const Core *c, double dt, Seen *seen) {
-    const double least = c->watch->watch_rate - dt / CAP_FALLS;
+    const double least = c->watch->rate_cap - dt / CAP_FALLS;
     if (seen->fault || !(least > seen->cap)) return;
     seen->cap = least, seen->hold = 0;
 }
 
 static void watch_sample(Core *c, const double *positions, const double *q, const Twists &away, double dt) {
     const Options *o = c->options;
-    const int minds = c->arms > 1 && c->minding && c->minding->rigid != 0.0;
+    const int relaxes = c->arms > 1 && c->relaxation && c->relaxation->rigid;
     Proposal *out = c->proposal;
     Twists &moved = c->measured_moved;
     Seen seen;
@@ -655,29 +655,29 @@ static void watch_sample(Core *c, const double *positions, const double *q, cons
         hold_for(&seen, NOT_FINITE, -1, 0.0, 0.0);
     } else {
         moved = away;
-        if (minds) add_shift(c, moved);
-        if (c->arms > 1 && o->slow_from >= 0.0) watch_distances(c, q, moved, dt, minds, &seen);
-        if (minds) fall_gently(c, dt, &seen);
-        if (minds && o->slow_from >= 0.0) watch_servos(c, away, dt, &seen);
-        if (o->stall_samples > 0.0) watch_stall(c, positions, dt, minds, &seen);
-        if (o->watches_force != 0.0) watch_forces(c, positions, dt, &seen);
-        if (c->arms > 1 && !c->minding && c->holding.sum() > 1.0 && o->watches_force == 0.0 && o->slow_from >= 0.0)
+        if (relaxes) add_shift(c, moved);
+        if (c->arms > 1 && o->slow_from >= 0.0) watch_distances(c, q, moved, dt, relaxes, &seen);
+        if (relaxes) fall_gently(c, dt, &seen);
+        if (relaxes && o->slow_from >= 0.0) watch_servos(c, away, dt, &seen);
+        if (o->stall_samples > 0) watch_stall(c, positions, dt, relaxes, &seen);
+        if (o->watches_force) watch_forces(c, positions, dt, &seen);
+        if (c->arms > 1 && !c->relaxation && c->holding.sum() > 1.0 && !o->watches_force && o->slow_from >= 0.0)
             watch_lag(c, dt, &seen);
         if (o->recovery_time > 0.0) recover(c, dt, &seen);
-        if (c->minding && c->minding->touches != 0.0 && !seen.fault) hold_for(&seen, TOUCHING, -1, 0.0, 0.0); /* at once */
+        if (c->relaxation && c->relaxation->touches != 0.0 && !seen.fault) hold_for(&seen, TOUCHING, -1, 0.0, 0.0); /* at once */
     }
-    if (out->faults != 0.0 || !(seen.cap < out->watch_cap || seen.fault)) return; /* a fault stays as it is */
+    if (out->is_fault || !(seen.cap < out->watch_cap || seen.fault)) return; /* a fault stays as it is */
     out->watch_cap = seen.cap;
-    out->hold = seen.hold, out->faults = seen.fault;
-    out->reason = seen.reason, out->reason_arm = seen.arm;
+    out->hold = seen.hold, out->is_fault = seen.fault;
+    out->reason = seen.reason, out->reason_index = seen.arm;
     out->reason_a = seen.a, out->reason_b = seen.b;
 }
 
 static void watch_reset(Core *c) {
     *c->watch = Watch();
-    c->watch->watch_rate = 1.0;
-    c->watch->watch_arm = c->watch->behind = -1.0;
-    c->watch->var_lag = LAG * LAG;
+    c->watch->rate_cap = 1.0;
+    c->watch->cap_arm = c->watch->behind = -1;
+    c->watch->lag_variance = LAG * LAG;
     for (Vector *x : {&c->noise, &c->stalled, &c->widest, &c->lost, &c->held, &c->forces, &c->slow_forces}) x->setZero();
     for (Twists *x : {&c->deviation, &c->away, &c->away_step, &c->slow_drift, &c->lag, &c->apart}) x->setZero();
     for (Twist *x : {&c->lag_base, &c->lag_told, &c->lag_way}) x->setZero();

@@ -82,8 +82,8 @@ static void along_ways(const Core *c, double clock, double before, const double 
 }
 
 /* What the joints of these arms are to do in a step, per unit of rate and beside it: along the way, and back onto it. */
-static void wish_along_ways(Core *c, double clock, double span, double h) {
-    const double gain = c->proposal->hold != 0.0 ? 0.0 : min_of(c->options->grasp_gain, 1.0 / h);
+static void reference_along_ways(Core *c, double clock, double span, double h) {
+    const double gain = c->proposal->hold ? 0.0 : min_of(c->options->grasp_gain, 1.0 / h);
     double now[MOST_JOINTS], later[MOST_JOINTS], speed[MOST_JOINTS], unused[MOST_JOINTS];
     for (int k = 0; k < c->arms; k++) {
         if (!follows_way(c, k)) continue;
@@ -111,7 +111,7 @@ static void watch_ways(Core *c, double clock) {
             const double far = fabs(c->positions[a.own(i)] - x[i]);
             if (far > most) most = far, joint = a.own(i);
         }
-        if (most > FAR_FROM_WAY && c->proposal->hold == 0.0) {
+        if (most > FAR_FROM_WAY && !c->proposal->hold) {
             refuse(c, OFF_WAY, -1, most);
             c->proposal->reason_b = joint;
         }

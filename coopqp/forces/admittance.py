@@ -33,7 +33,7 @@ from typing import Any, final
 import numpy as np
 import pinocchio as pin
 
-from coopqp.control.core.force_memory import gives_way, minding_scalars, minding_size, minding_views
+from coopqp.control.core.force_memory import gives_way, relaxation_scalars, relaxation_size, relaxation_views
 from coopqp.control.monitoring.stress import servo_wrenches
 from coopqp.core import _core
 from coopqp.core._core import BY_RELEASE, LOOK_EVERY
@@ -95,7 +95,7 @@ class Relaxation:
         shares_of: s, share of each arm in the object's pose (N, 6) while some of them hold it (N,).
 
     Attributes:
-        memory: numbers of ``Minding`` in ``minding.h``, and the vectors below.
+        memory: numbers of ``ForceRelaxation`` in ``force_relaxation.h``, and the vectors below.
         scalars: the first of them by name.
         internal: internal wrenches of the arms on the object beside the squeeze that is asked for, filtered (N, 6)
             [N, N·m], in the object frame; the next step changes it in place.
@@ -123,10 +123,10 @@ class Relaxation:
         self._cell, self._chain = cell, Chain(cell, grasp)
         self._softness = 1.0 / per_joint(options.stiffness, cell.nv, "ForceOptions: stiffness")
         self.holding = Holding(cell, grasp, options, shares_of)
-        self.memory = np.zeros(minding_size(n))
-        self.scalars = minding_scalars(self.memory)
+        self.memory = np.zeros(relaxation_size(n))
+        self.scalars = relaxation_scalars(self.memory)
         self._put_settings()
-        views = self._views = minding_views(self.memory, n)
+        views = self._views = relaxation_views(self.memory, n)
         self.internal, self.shift, self.silent = views["internal"], views["shift"], views["silent"]
         self.seen, self._yields, self._compliances = views["seen"], views["yields"], views["compliances"]
         #: Compliances of the arms' own joints, and of those that they share, at the last look.
@@ -142,7 +142,7 @@ class Relaxation:
             setattr(m, place, getattr(o, name))
         palms = o.palms is not None
         m.has_palms = palms
-        m.wait = _STEADY if palms else 2.0 * o.relax_time
+        m.wait_time = _STEADY if palms else 2.0 * o.relax_time
         m.pressed_below = _PRESSED * o.squeeze if palms else math.inf
         m.move_below = max(o.move_below, 2.0 * o.dead_band, _PRESSED * o.squeeze)
 
@@ -172,7 +172,7 @@ class Relaxation:
         m.asked, m.stiffer, self.shift[:], self._held[:] = asked, 1.0, shift, shift
         m.look_at = math.inf
         m.force_cap, m.pressed_with = 1.0, self.options.squeeze
-        m.corrects = self.options.palms is not None
+        m.correction_share = self.options.palms is not None
         #: One over Kp, with the arms' stiffness against each other as it is found.
         self._soft = self._softness
         self._pressed = self._pressing = self._waited = 0.0
@@ -216,7 +216,7 @@ class Relaxation:
                 self._held[k] = self.shift[k]
         drift = self._views["drift"]
         drift[:] = (self.holding.relative @ drift.ravel()).reshape(-1, 6)
-        self.scalars.relax_ease = 0.0
+        self.scalars.relax_blend = 0.0
         self._put_holding()
         self.look(q)
 
@@ -240,7 +240,7 @@ class Relaxation:
     @property
     def size(self) -> float:
         """Size of the largest internal wrench [N]; a torque of 0.3 N·m counts as 1 N."""
-        return self.scalars.size
+        return self.scalars.largest_force
 
     @property
     def stiffer(self) -> float:
@@ -417,7 +417,7 @@ class Relaxation:
     def slow_down(self, delay: float, dt: float) -> bool:
         """Relax no faster than wrenches that come after ``delay`` [s] allow; false if that is too late for any pace."""
         m, slower = self.scalars, max((delay + dt) / (_SLOWED_GAIN * self.options.relax_time), 1.0)
-        for name in ("relax_time", "drift_time", "wait"):
+        for name in ("relax_time", "drift_time", "wait_time"):
             setattr(m, name, slower * getattr(m, name))
         return delay <= _TOO_LATE
 

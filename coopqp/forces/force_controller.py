@@ -420,7 +420,7 @@ class ForceController(OperatorCalls):
                 self._go_on(PRESSING)
             if m.sensor_fault:
                 return
-        m.since += dt
+        m.stage_time += dt
         if self._stage != PRESSING:
             return
         if self._check is None:
@@ -433,7 +433,7 @@ class ForceController(OperatorCalls):
         """Press the sensors; in the end, say which of them are wrong."""
         m = self._scalars
         if not check.began:  # the force at the start is that before the presses
-            m.start_size = max(m.start_size, m.size)
+            m.start_size = max(m.start_size, m.largest_force)
         shift = check.press(w, self.controller.commanded, q, dt)
         if check.disturbed:  # sensors are compared with the servos, and the arms relax from where they are
             self._check, self._disturbed = None, True
@@ -459,7 +459,7 @@ class ForceController(OperatorCalls):
         m = self._scalars
         self._differences += self._relaxation.off_servos(self.controller.commanded, q)
         self._compared += 1
-        if m.since < self.options.check_time:
+        if m.stage_time < self.options.check_time:
             return
         off = np.linalg.norm(self._differences[:, :3] / self._compared, axis=1)
         k = int(off.argmax())
@@ -468,7 +468,7 @@ class ForceController(OperatorCalls):
         self._go_on(PRESSING)
 
     def _go_on(self, stage: int) -> None:
-        self._scalars.stage, self._scalars.since = stage, 0.0
+        self._scalars.stage, self._scalars.stage_time = stage, 0.0
 
     # -- copies --------------------------------------------------------------------------------------------------
 
@@ -539,7 +539,7 @@ class ForceController(OperatorCalls):
             return f"the arms squeeze the object further while they relax: {self._most()}"
         if why == BY_STAGE:
             waits = self._stage == CHECKING and not self._compared
-            if waits and m.since > self.options.check_time + _PATIENCE * self.dt:
+            if waits and m.stage_time > self.options.check_time + _PATIENCE * self.dt:
                 return "the sensors cannot be compared with the servos: give q_measured, and wrenches of all arms"
             late = self._found is not None and self._found.latest > 0.0
             slowly = f" ({self._found.explain()}; forces relax more slowly)" if late and self._found else ""
@@ -547,7 +547,7 @@ class ForceController(OperatorCalls):
         if why == BY_FRICTION:
             used, arm = m.friction_used, self.cell.arm_names[int(m.why_arm)]
             return f"{100.0 * used:.0f} % of the friction at the palm of arm {arm}"
-        rises = "" if m.size > m.force_slows else "; the rate rises"
+        rises = "" if m.largest_force > m.force_slows else "; the rate rises"
         return f"{self._most()} (slower from {self.options.slow_from:g} N on){rises}"
 
     def _fault(self) -> str:

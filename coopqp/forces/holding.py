@@ -146,7 +146,7 @@ class Holding:
         """Put the maps into the memory of the relaxation.
 
         Args:
-            views: of the memory, see :func:`coopqp.control.core.force_memory.minding_views`.
+            views: of the memory, see :func:`coopqp.control.core.force_memory.relaxation_views`.
             pressed: with which the palms press, over the squeeze that is asked for.
         """
         o, n = self._options, len(self._cell)

@@ -236,7 +236,7 @@ def test_the_cores_bounds_are_those_in_numpy(seed: int) -> None:
 def rows_memory(nv: int, rows: int) -> dict[str, Any]:
     sizes = {"G": rows * nv, "lower": rows, "upper": rows, "soft": rows, "owner": rows}
     of_joints = ("positions", "command", "quiet_centre", "quiet_reach")
-    of_joints += ("quiet_ahead_centre", "quiet_ahead_reach", "knot_positions", "knot_slope", "knot_curvature")
+    of_joints += ("quiet_ahead_centre", "quiet_ahead_reach", "node_positions", "node_slope", "node_curvature")
     of_joints += ("evading_positions", "evading_slope")
     one = ("dt", "quiet_slack", "quiet_approach", "quiet_ahead_slack", "quiet_ahead_approach")
     return {name: np.zeros(sizes.get(name, 1 if name in one else nv)) for name in (*sizes, *of_joints, *one)}
@@ -397,7 +397,7 @@ def test_rows_in_memory_stop_the_object_at_the_knots_where_the_definition_does(l
     for _ in range(50):
         x = cell.positions(scenario.q_start) + rng.uniform(-0.5, 0.5, cell.nv)
         slope, curvature, span = rng.normal(size=cell.nv), 5.0 * rng.normal(size=cell.nv), rng.uniform(0.01, longest)
-        memory["knot_positions"][:], memory["knot_slope"][:], memory["knot_curvature"][:] = x, slope, curvature
+        memory["node_positions"][:], memory["node_slope"][:], memory["node_curvature"][:] = x, slope, curvature
         label = definition.stopping_pair(Knot(0.0, CellState(cell, cell.configuration(x)), slope, curvature, span))
         stopped.append((nearby.stopping(0, span) >= 0, label >= 0))
     core, by_definition = np.array(stopped).T
@@ -438,7 +438,7 @@ def test_only_knots_that_exist_stop_the_object(lift: Scenario) -> None:
     nearby: Any = Clearance(scene_of(lift, margin=0.0)).in_memory(rows_memory(lift.cell.nv, 4), ahead=True)
     nearby.stopping(0, 0.0)
     for place in (-1, 1, 10**6):
-        with pytest.raises(IndexError, match="no such knot"):
+        with pytest.raises(IndexError, match="no such grid point"):
             nearby.stopping(place, 0.0)
 
 

@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 from coopqp.core._core import CHECKING, MOVING, PRESSING, RELAXING
 
-from coopqp.control.core.force_memory import minding_scalars, minding_size, minding_views, squeezes
+from coopqp.control.core.force_memory import relaxation_scalars, relaxation_size, relaxation_views, squeezes
 from coopqp.core import _core
 from coopqp.spatial import Array
 
@@ -27,22 +27,22 @@ UNTIL_TOLD = 1e-9
 
 def anyhow(rng: np.random.Generator, arms: int, **values: float) -> Array:
     """Memory of forces in any state that a run may come to; ``values`` of its scalars by name."""
-    memory = np.zeros(minding_size(arms))
-    m, x = minding_scalars(memory), minding_views(memory, arms)
+    memory = np.zeros(relaxation_size(arms))
+    m, x = relaxation_scalars(memory), relaxation_views(memory, arms)
     drawn: dict[str, Any] = {
         "wrench_filter": 0.02, "dead_band": 1.0, "relax_time": 0.2, "drift_time": 0.5, "ramp_time": 0.05,
         "wrench_silence": rng.choice([0.006, 0.05, 0.2, 0.2]), "most_speed": 0.02, "most_spin": 0.05,
         "most_reach": rng.choice([2e-4, 3e-3]),
         "most_turn": 0.01,
-        "wait": 0.02, "move_below": rng.uniform(3.0, 40.0), "pressed_below": rng.uniform(3.0, 60.0),
+        "wait_time": 0.02, "move_below": rng.uniform(3.0, 40.0), "pressed_below": rng.uniform(3.0, 60.0),
         "force_slows": 5.0, "force_holds": 25.0, "has_palms": rng.integers(2), "squeeze": 10.0, "most_squeeze": 15.0,
         "stiffer": rng.choice([0.02, 0.4, 1.0, 3.0]), "stage": rng.integers(4), "stepped": rng.uniform() < 0.9,
         "asked": rng.choice([0.3, 1.0]), "force_cap": rng.uniform(), "last_rate": rng.uniform(),
         "last_speed": rng.choice([0.0, 1.0]), "at_end": rng.integers(2), "pressed_with": 10.0, "needed": 5.0,
         "start_size": rng.uniform(0.0, 10.0), "load_mass": 2.0, "weight_z": -20.0, "weight_x": 3.0, "weight_y": 2.0,
-        "contact_limit": rng.choice([4.0, 10.0, math.inf]), "corrects": 0.5, "contact_late": 0.02,
+        "contact_limit": rng.choice([4.0, 10.0, math.inf]), "correction_share": 0.5, "contact_late": 0.02,
         "goes_on": rng.integers(2), "touches": rng.choice([0.0, 0.0, UNTIL_TOLD + 0.02]),
-        "suspected": rng.uniform() < 0.2, "reference_dt": 0.004, "back_from": math.nan,
+        "suspected": rng.uniform() < 0.2, "reference_dt": 0.004, "retreat_from": math.nan,
     }  # fmt: skip
     for name, value in (drawn | values).items():
         setattr(m, name, value)
@@ -78,20 +78,21 @@ def felt(rng: np.random.Generator, arms: int, before: Array | None, load: Array)
 #: All scalars.
 SCALARS = (
     "wrench_filter", "dead_band", "relax_time", "drift_time", "ramp_time", "wrench_silence", "most_speed",
-    "most_spin", "most_reach", "most_turn", "wait", "move_below", "pressed_below", "force_slows", "force_holds",
-    "has_palms", "squeeze", "most_squeeze", "size", "stiffer", "relax_ease", "saturated", "stage", "since", "stepped",
-    "age", "asked", "force_cap", "last_rate", "last_speed", "at_end", "friction_used", "pressed_with", "needed",
-    "sensor_fault", "sensor_arm", "sensor_amount", "allowed", "why", "why_arm", "rigid", "weight_x", "weight_y",
-    "weight_z", "haste", "suspected", "servo_samples", "servo_noise", "corrects", "start_size", "way_done",
-    "load_mass", "contact_limit", "load_haste", "touches", "pushed", "sharpest", "asked_dt", "reference_dt",
-    "contact_late", "goes_on", "back_speed", "back_owed", "back_from", "backs", "load_speed", "look_at",
+    "most_spin", "most_reach", "most_turn", "wait_time", "move_below", "pressed_below", "force_slows", "force_holds",
+    "has_palms", "squeeze", "most_squeeze", "largest_force", "stiffer", "relax_blend", "saturated", "stage",
+    "stage_time", "stepped", "age", "asked", "force_cap", "last_rate", "last_speed", "at_end", "friction_used",
+    "pressed_with", "needed", "sensor_fault", "sensor_arm", "sensor_amount", "allowed", "why", "why_arm", "rigid",
+    "weight_x", "weight_y", "weight_z", "joint_acceleration", "suspected", "servo_samples", "servo_noise",
+    "correction_share", "start_size", "joint_way", "load_mass", "contact_limit", "load_acceleration", "touches",
+    "pushed", "sharpest", "asked_dt", "reference_dt", "contact_late", "goes_on", "retreat_speed", "retreat_left",
+    "retreat_from", "retreats_at", "load_speed", "look_at",
 )  # fmt: skip
 
 
 def digest(memory: Array, arms: int) -> float:
     """One number that changes with every number of the memory."""
-    m = minding_scalars(memory)
-    vectors = (view.ravel() for view in minding_views(memory, arms).values())
+    m = relaxation_scalars(memory)
+    vectors = (view.ravel() for view in relaxation_views(memory, arms).values())
     numbers = np.concatenate([[float(getattr(m, name)) for name in SCALARS], *vectors])
     weights = 1.0 + 0.5 * np.cos(1.7 * np.arange(len(numbers)))
     return float(weights @ np.nan_to_num(numbers, nan=7.0, posinf=11.0, neginf=-13.0))
@@ -103,7 +104,7 @@ def in_stage(stage: int) -> Iterator[tuple[Array, int, int]]:
     for run in range(16):
         arms = 2 + run % 2
         memory = anyhow(rng, arms, stage=stage)
-        x, way, push = minding_views(memory, arms), rng.normal(size=3) * 0.2, rng.normal(size=3)
+        x, way, push = relaxation_views(memory, arms), rng.normal(size=3) * 0.2, rng.normal(size=3)
         wrenches = None
         if stage == MOVING and run % 3 == 0:
             push = -way * rng.uniform(0.9, 1.1, size=3)  # it runs into something
@@ -116,15 +117,15 @@ def in_stage(stage: int) -> Iterator[tuple[Array, int, int]]:
             wrenches = felt(rng, arms, wrenches, -x["reference"][:9].reshape(3, 3).T @ pushed)
             yield memory, arms, _core.relax(memory, arms, wrenches, dt)
             _core.allow(memory, arms, dt)
-            yield memory, arms, minding_scalars(memory).why
+            yield memory, arms, relaxation_scalars(memory).why
 
 
 def of_any_numbers(stage: int) -> Iterator[tuple[Array, int, int]]:
     """The same of memories of any numbers: dead bands, ends of the reach, palms, wrenches that do not come, faults."""
     for seed in range(30):
         rng, arms = np.random.default_rng(1000 * stage + seed), 1 + seed % 5
-        memory = np.zeros(minding_size(arms))
-        m, x = minding_scalars(memory), minding_views(memory, arms)
+        memory = np.zeros(relaxation_size(arms))
+        m, x = relaxation_scalars(memory), relaxation_views(memory, arms)
         drawn = rng.uniform(-1.0, 1.0, len(SCALARS) + sum(view.size for view in x.values()))[len(SCALARS) :]
         for view in x.values():
             view.ravel()[:], drawn = drawn[: view.size], drawn[view.size :]
@@ -135,7 +136,7 @@ def of_any_numbers(stage: int) -> Iterator[tuple[Array, int, int]]:
             "force_holds": rng.choice([1.0, 50.0]), "saturated": 0.0, "stepped": rng.random() < 0.9, "stage": stage,
             "has_palms": rng.random() < 0.5, "sensor_arm": 0.0,
             "sensor_fault": rng.choice([0, 0, 0, 0, _core.SENSOR_WRONG]), "force_cap": rng.random(),
-            "wait": rng.choice([0.15, 10.0]), "why": 0.0, "why_arm": 0.0, "most_squeeze": rng.choice([0.0, 30.0]),
+            "wait_time": rng.choice([0.15, 10.0]), "why": 0.0, "why_arm": 0.0, "most_squeeze": rng.choice([0.0, 30.0]),
         }.items():  # fmt: skip
             setattr(m, name, value)
         x["silent"][:] = 0.0
@@ -177,11 +178,11 @@ def test_arms_squeeze_where_they_press_more_while_they_relax_than_at_the_start()
     more = 1.01 * 1.1 * 30.0
     for values, found in (
         ({}, True), ({"stage": MOVING}, False), ({"stage": PRESSING}, False), ({"has_palms": 1.0}, False),
-        ({"size": 0.98 * more}, False), ({"force_holds": 1.01 * more}, False), ({"force_holds": more}, True),
+        ({"largest_force": 0.98 * more}, False), ({"force_holds": 1.01 * more}, False), ({"force_holds": more}, True),
     ):  # fmt: skip
-        usual = {"stage": RELAXING, "has_palms": 0.0, "size": more, "start_size": 30.0, "force_holds": 25.0}
+        usual = {"stage": RELAXING, "has_palms": 0.0, "largest_force": more, "start_size": 30.0, "force_holds": 25.0}
         memory = anyhow(np.random.default_rng(0), 2, **(usual | values))
-        assert squeezes(minding_scalars(memory)) == found, values
+        assert squeezes(relaxation_scalars(memory)) == found, values
 
 
 def test_a_rate_falls_in_proportion_and_rises_the_slower_the_more_is_felt() -> None:
@@ -189,30 +190,30 @@ def test_a_rate_falls_in_proportion_and_rises_the_slower_the_more_is_felt() -> N
     dt = 0.01
     for size, cap, stiffer in ((0.0, 0.5, 1.0), (2.0, 0.5, 4.0), (4.9, 0.2, 0.5), (15.0, 1.0, 1.0), (30.0, 0.05, 1.0)):
         memory = anyhow(
-            np.random.default_rng(0), 2, stage=MOVING, has_palms=0.0, size=size, force_cap=cap, stiffer=stiffer,
-            asked=1.0, touches=0.0,
+            np.random.default_rng(0), 2, stage=MOVING, has_palms=0.0, largest_force=size, force_cap=cap,
+            stiffer=stiffer, asked=1.0, touches=0.0,
         )  # fmt: skip
         _core.allow(memory, 2, dt)
         wanted = float(np.clip((25.0 - size) / 20.0, 0.0, 1.0))
         fall = max(cap, 0.1) / 0.6 * dt
         root = math.sqrt(max(stiffer, 1.0))
         rise = max(1.0 - root * size / 5.0, 0.1) / root * dt / 2.0
-        assert minding_scalars(memory).allowed == pytest.approx(float(np.clip(wanted, cap - fall, cap + rise)))
+        assert relaxation_scalars(memory).allowed == pytest.approx(float(np.clip(wanted, cap - fall, cap + rise)))
 
 
 @pytest.mark.parametrize(("used", "allowed"), [(0.92, 0.8), (0.95, 0.5), (0.99, 0.1), (0.89, 1.0)])
 def test_friction_in_use_slows_the_object_from_nine_tenths_on(used: float, allowed: float) -> None:
     """In a line down to rest where all of it is used; the arm whose palm uses most is named."""
     memory = anyhow(
-        np.random.default_rng(0), 2, stage=MOVING, has_palms=1.0, size=0.0, asked=1.0, touches=0.0, stiffer=1.0,
-        force_cap=allowed + 1e-6, friction_used=used,
+        np.random.default_rng(0), 2, stage=MOVING, has_palms=1.0, largest_force=0.0, asked=1.0, touches=0.0,
+        stiffer=1.0, force_cap=allowed + 1e-6, friction_used=used,
     )  # fmt: skip
-    x = minding_views(memory, 2)
+    x = relaxation_views(memory, 2)
     x["holding"][:], x["palms"][:], x["seen"][:] = 1.0, 0.0, 0.0
     x["palms"][:, 0, 0, 0] = x["palms"][:, :, 3, 2] = 1.0  # |f_x| ≤ f_z
     x["seen"][:, 2], x["seen"][:, 0] = 10.0, (5.0, 10.0 * used)
     _core.allow(memory, 2, 0.01)
-    m = minding_scalars(memory)
+    m = relaxation_scalars(memory)
     assert m.friction_used == pytest.approx(used)
     assert m.allowed == pytest.approx(allowed)
     assert m.why == (_core.BY_FRICTION if used > 0.9 else _core.NOTHING_MORE)
@@ -226,13 +227,13 @@ def test_what_pushes_no_harder_than_the_arms_do_each_other_is_no_contact(share: 
         np.random.default_rng(0), 2, stage=MOVING, contact_limit=10.0, touches=0.0, suspected=0.0, load_mass=0.0,
         weight_x=0.0, weight_y=0.0, weight_z=0.0, sensor_fault=_core.SENSORS_FINE, last_speed=0.0,
     )  # fmt: skip
-    x = minding_views(memory, 2)
+    x = relaxation_views(memory, 2)
     x["holding"][:], x["target"][:], x["internal_of"][:], x["unfed_of"][:] = 1.0, 0.0, np.eye(12), np.eye(12)
     x["reference"][:9], x["push"][0] = np.eye(3).ravel(), (20.0, 0.0, 0.0)
     wrenches = np.zeros((2, 6))
     wrenches[:, 0] = -20.0 * share, -20.0 * (1.0 - share)
     _core.relax(memory, 2, wrenches, 0.004)
-    m = minding_scalars(memory)
+    m = relaxation_scalars(memory)
     assert m.pushed == pytest.approx(20.0)
     assert bool(m.touches) is touches
 
@@ -245,12 +246,12 @@ def test_an_object_begins_the_slower_the_less_its_servos_are_as_told() -> None:
         (0.05, 0.0, 1.0),
     ):  # fmt: skip
         memory = anyhow(
-            np.random.default_rng(0), 2, stage=RELAXING, has_palms=palms, stiffer=stiffer, force_cap=1.0, since=0.02,
-            wait=0.02, move_below=30.0, pressed_below=30.0, contact_limit=math.inf,
+            np.random.default_rng(0), 2, stage=RELAXING, has_palms=palms, stiffer=stiffer, force_cap=1.0,
+            stage_time=0.02, wait_time=0.02, move_below=30.0, pressed_below=30.0, contact_limit=math.inf,
             sensor_fault=_core.SENSORS_FINE,
         )  # fmt: skip
         _core.relax(memory, 2, np.zeros((2, 6)), 0.004)
-        m = minding_scalars(memory)
+        m = relaxation_scalars(memory)
         assert (m.stage, m.force_cap) == (MOVING, pytest.approx(rate)), (stiffer, palms)
 
 

@@ -450,8 +450,8 @@ def test_a_command_that_repeats_the_last_one_takes_no_new_way(monkeypatch: pytes
     controller = lift()
     done = steps(controller, 100)
     operator, ways = controller._operator, []
-    go_over = operator.go_over
-    monkeypatch.setattr(operator, "go_over", lambda *way: ways.append(way) or go_over(*way))
+    retarget = operator.retarget
+    monkeypatch.setattr(operator, "retarget", lambda *way: ways.append(way) or retarget(*way))
     twist = np.array([0.03, 0.0, 0.02, 0.0, 0.0, 0.1])
     for i in range(300):
         if i % 5 == 0:

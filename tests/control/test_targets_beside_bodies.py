@@ -90,9 +90,9 @@ def test_the_core_stops_the_object_at_the_knots_where_the_definition_does(make: 
         nv = loop.cell.nv
 
         def both(slot: int, span: float) -> int:
-            found, numbers = core(slot, span), loop._core.knot(slot)
+            found, numbers = core(slot, span), loop._core.node(slot)
             x, slope, curvature = (
-                loop.at[f"knot_{name}"][nv * slot : nv * slot + nv].copy()
+                loop.at[f"node_{name}"][nv * slot : nv * slot + nv].copy()
                 for name in ("positions", "slope", "curvature")
             )
             state = CellState(loop.cell, loop.cell.configuration(x))

@@ -43,7 +43,7 @@ pytestmark = pytest.mark.core
 
 #: The one that this processor runs, and the one that any can.
 ARITHMETICS = ("auto", "plain")
-NOMINAL, RAY, QP = range(len(native.OUTCOMES))
+NOMINAL, RATE_SEARCH, QP = range(len(native.OUTCOMES))
 SCENARIOS = [paper_lift, dual_arm7, mixed_cell, at_limit]
 
 
@@ -252,7 +252,7 @@ def test_a_singular_arm_is_answered_within_its_limits(
     core_of(loop).start(x)
     core_of(loop).start_path(0.0, 1.0)
     step = loop.step(None, None)
-    assert proposal(loop, "OUTCOME") in (RAY, QP)
+    assert proposal(loop, "OUTCOME") in (RATE_SEARCH, QP)
     assert np.isfinite(step.velocity).all()
     assert np.abs(step.velocity).max() <= paper.cell.limits.velocity.max() + 1e-9
 
@@ -280,7 +280,7 @@ def numbers_of(struct: str) -> list[str]:
 
 
 #: Fields that are structs, or many.
-NAMED = {"options": "Options", "loop": "Loop", "watch": "Watch", "knots": "Knot"}
+NAMED = {"options": "Options", "loop": "Loop", "watch": "Watch", "nodes": "Node"}
 
 
 def places() -> Iterator[str]:
@@ -293,7 +293,7 @@ def places() -> Iterator[str]:
 def fill(loop: Any, place: str, value: float) -> None:
     name, _, entry = place.partition("/")
     if entry:
-        count = loop.at["knot_positions"].size // loop.cell.nv if name == "knots" else 1
+        count = loop.at["node_positions"].size // loop.cell.nv if name == "nodes" else 1
         loop.at[name].reshape(count, -1)[:, numbers_of(NAMED[name]).index(entry)] = value
     else:
         loop.at[name][:] = value
@@ -565,7 +565,7 @@ def test_steps_without_python_in_between_are_the_same(paper: Scenario) -> None:
 def test_a_loop_that_nobody_holds_is_freed(paper: Scenario) -> None:
     """It owns the core, which holds its methods."""
     loop = loop_of(paper)
-    core_of(loop).bind(clear=loop._bound_knot, further_rows=loop._bound_knot, tightened=loop._bound_knot)
+    core_of(loop).bind(clear=loop._bound_node, further_rows=loop._bound_node, tightened=loop._bound_node)
     loop.step(None, None)
     known = weakref.ref(loop)
     del loop

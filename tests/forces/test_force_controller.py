@@ -30,7 +30,7 @@ from coopqp import (
     simulate,
 )
 from coopqp.baselines import PseudoInverseController
-from coopqp.control.core.force_memory import minding_scalars, minding_size
+from coopqp.control.core.force_memory import relaxation_scalars, relaxation_size
 from coopqp.core import _core
 from coopqp.errors import StartWarning
 from coopqp.forces import Grip, LoadShare, StressModel, internal_wrenches
@@ -379,11 +379,11 @@ def test_the_haste_of_joints_is_that_of_what_is_commanded(task: Scenario) -> Non
         QPController(task.cell, task.grasp, line, dt=0.01), {"stiffness": 1e5, "presses": False, "check_time": 0.0}
     )
     made.reset(task.q_start)
-    rng, q, haste, seen = np.random.default_rng(0), task.q_start, minding_scalars(made._relaxation.memory), []
+    rng, q, haste, seen = np.random.default_rng(0), task.q_start, relaxation_scalars(made._relaxation.memory), []
     for _ in range(100):
         step = made.step(q, wrenches=0.5 * rng.normal(size=(3, 6)))
         q = step.q_next
-        seen.append(haste.haste)
+        seen.append(haste.joint_acceleration)
     assert step.rate == 1.0
     assert max(seen) > 5.0 * seen[-1]
 
@@ -404,7 +404,7 @@ def test_two_that_mind_forces_over_one_controller_keep_their_memories_apart() ->
 
 @pytest.mark.core
 def test_memory_of_another_size_is_refused_by_the_core() -> None:
-    relax, allow, memory = _core.relax, _core.allow, np.zeros(minding_size(3))
+    relax, allow, memory = _core.relax, _core.allow, np.zeros(relaxation_size(3))
     for call in (
         lambda: relax(memory, 2, None, 0.1),
         lambda: relax(memory, 3, np.zeros(18), 0.1),

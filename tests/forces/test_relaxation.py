@@ -11,7 +11,7 @@ import pytest
 from coopqp.core._core import BY_RELEASE, NOTHING_MORE
 
 from coopqp import ForceController, ForceOptions, Grasp, InvalidInputError, QPController, Status, inverse_kinematics
-from coopqp.control.core.force_memory import minding_views
+from coopqp.control.core.force_memory import relaxation_views
 from coopqp.forces import Grip, internal_wrenches
 from coopqp.forces.admittance import Relaxation
 from coopqp.forces.holding import Holding, bearing
@@ -68,7 +68,7 @@ def test_grasps_answer_forces_by_the_compliance_of_the_servos() -> None:
     """Less the common motion; with each arm's stiffness as it is found, over what is found of all."""
     made = relaxation()
     soft = TWISTS @ TWISTS.swapaxes(1, 2) / STIFF
-    np.testing.assert_allclose(minding_views(made.memory, 3)["yields"], apart(SHARES) @ blocks(soft), atol=1e-12)
+    np.testing.assert_allclose(relaxation_views(made.memory, 3)["yields"], apart(SHARES) @ blocks(soft), atol=1e-12)
     assert not made.aged
     made.scalars.age = 0.11
     assert made.aged
@@ -76,13 +76,13 @@ def test_grasps_answer_forces_by_the_compliance_of_the_servos() -> None:
     assert not made.aged
     assert made.stiffer == 1.7
     own = soft / np.array([2.0, 0.5, 1.0])[:, None, None]
-    np.testing.assert_allclose(minding_views(made.memory, 3)["yields"], apart(SHARES) @ blocks(own), atol=1e-12)
-    compliances = minding_views(made.memory, 3)["compliances"].reshape(18, 18)
+    np.testing.assert_allclose(relaxation_views(made.memory, 3)["yields"], apart(SHARES) @ blocks(own), atol=1e-12)
+    compliances = relaxation_views(made.memory, 3)["compliances"].reshape(18, 18)
     np.testing.assert_allclose(compliances, blocks(own), atol=1e-12)
     made.begin(np.zeros((3, 6)))
     assert made.stiffer == 1.0
     made.look(LIFT.q_start)
-    np.testing.assert_allclose(minding_views(made.memory, 3)["yields"], apart(SHARES) @ blocks(soft), atol=1e-12)
+    np.testing.assert_allclose(relaxation_views(made.memory, 3)["yields"], apart(SHARES) @ blocks(soft), atol=1e-12)
 
 
 @pytest.mark.parametrize(("found", "taken"), [(0.04, 0.05), (0.06, 0.06), (19.0, 19.0), (21.0, 20.0)])
@@ -189,12 +189,12 @@ def test_a_sensor_may_be_silent_for_as_long_as_chance_allows(lost: float | None,
 def test_late_wrenches_are_relaxed_more_slowly(delay: float, slower: float, fine: bool) -> None:
     """So that (d + dt) / T is 0.4; beyond 0.15 s no pace is slow enough."""
     made = relaxation(relax_time=0.15, drift_time=0.2)
-    wait = made.scalars.wait
+    wait = made.scalars.wait_time
     assert wait == pytest.approx(0.3)
     assert made.slow_down(delay, DT) == fine
     assert made.scalars.relax_time == pytest.approx(slower * 0.15)
     assert made.scalars.drift_time == pytest.approx(slower * 0.2)
-    assert made.scalars.wait == pytest.approx(slower * wait)
+    assert made.scalars.wait_time == pytest.approx(slower * wait)
 
 
 def test_how_far_grasps_are_is_a_share_of_their_reach() -> None:
@@ -267,7 +267,7 @@ def test_sensors_are_pressed_where_all_arms_can_press_all_ways() -> None:
 )  # fmt: skip
 def test_a_push_is_told_by_an_axis_or_its_direction(force: Any, said: str) -> None:
     made = relaxation(payload=Payload(mass=20.0))
-    minding_views(made.memory, 3)["push"][2] = force
+    relaxation_views(made.memory, 3)["push"][2] = force
     assert made.contact() == f"{said} of the world (from 39 N on)"
 
 
@@ -287,10 +287,10 @@ def test_a_contact_is_a_fifth_of_the_weight_and_25_newtons_at_least() -> None:
 def test_what_the_core_waits_for_before_the_object_moves() -> None:
     """Twice the relax time for grips; half a second of a squeeze of which a tenth may be missing for palms."""
     m, p = relaxation(relax_time=0.2, dead_band=4.0).scalars, of_palms().scalars
-    assert (m.has_palms, m.wait, m.pressed_below, m.move_below) == (0.0, 0.4, np.inf, 8.0)
-    assert (p.has_palms, p.wait, p.pressed_below, p.move_below) == (1.0, 0.5, 20.0, 20.0)
+    assert (m.has_palms, m.wait_time, m.pressed_below, m.move_below) == (0.0, 0.4, np.inf, 8.0)
+    assert (p.has_palms, p.wait_time, p.pressed_below, p.move_below) == (1.0, 0.5, 20.0, 20.0)
     assert relaxation(dead_band=1.0).scalars.move_below == 5.0
-    assert (m.force_cap, m.rigid, p.rigid, m.corrects, p.corrects) == (1.0, 1.0, 0.0, 0.0, 1.0)
+    assert (m.force_cap, m.rigid, p.rigid, m.correction_share, p.correction_share) == (1.0, 1.0, 0.0, 0.0, 1.0)
     assert p.pressed_with == 200.0
 
 
@@ -314,11 +314,11 @@ def test_an_arm_that_presses_on_the_object_does_not_let_go() -> None:
 def test_an_arm_that_lets_go_or_attaches_has_no_internal_force_at_first() -> None:
     """What it has felt is forgotten; the others' drift is counted from their common motion."""
     made, rng = relaxation(), np.random.default_rng(0)
-    views, all_, two = minding_views(made.memory, 3), (True,) * 3, (True, True, False)
+    views, all_, two = relaxation_views(made.memory, 3), (True,) * 3, (True, True, False)
     for before, after in ((all_, two), (two, all_)):
         drift = rng.normal(size=(3, 6))
         made.internal[:], views["felt"][:], views["freed"][:], views["drift"][:] = 1.0, 2.0, 3.0, drift
-        made.shift[2], views["held"][2], made.scalars.relax_ease = 0.4, 0.1, 1.0
+        made.shift[2], views["held"][2], made.scalars.relax_blend = 0.4, 0.1, 1.0
         made.take_holding(after, after, STILL, LIFT.q_start)
         for k in range(3):
             kept = before[k] == after[k]
@@ -329,7 +329,7 @@ def test_an_arm_that_lets_go_or_attaches_has_no_internal_force_at_first() -> Non
         held = np.repeat(np.array(after, dtype=float), 6)
         expected = held[:, None] * apart(shares_of(after)) * held
         np.testing.assert_allclose(views["drift"].ravel(), expected @ drift.ravel(), atol=1e-12)
-        assert made.scalars.relax_ease == 0.0
+        assert made.scalars.relax_blend == 0.0
         np.testing.assert_array_equal(views["holding"], after)
     made.internal[:] = 1.0
     made.take_holding(all_, all_, STILL, LIFT.q_start)
@@ -389,7 +389,7 @@ def test_the_load_goes_over_evenly_and_the_filter_follows() -> None:
         share = min(time / HAND_OVER_S, 1.0)
         np.testing.assert_allclose(held.load_shares, old + share * (goal - old), atol=1e-9)
         late += dt / (dt + late_by) * (old + share * (goal - old) - late)
-        views = minding_views(relaxation(payload=Payload(mass=1.0)).memory, 3)
+        views = relaxation_views(relaxation(payload=Payload(mass=1.0)).memory, 3)
         payload = Payload(mass=1.0, centre=[0.1, 0.2, 0.3])
         if i % 20 == 0:
             other = Holding(LIFT.cell, LIFT.grasp, ForceOptions(stiffness=STIFF, payload=payload), shares_of)
@@ -430,7 +430,7 @@ def test_arms_bear_the_load_that_do_not_let_go_soon() -> None:
 
 def test_palms_aim_at_the_internal_wrench_of_their_squeeze() -> None:
     made = of_palms()
-    views, press = minding_views(made.memory, 2), np.zeros((2, 6))
+    views, press = relaxation_views(made.memory, 2), np.zeros((2, 6))
     press[:, 2] = 200.0
     expected = internal_wrenches(press, PALMS.grasp)
     np.testing.assert_allclose(views["squeezed"], expected, atol=1e-9)

@@ -1,4 +1,4 @@
-"""The memory of the relaxation of forces by name; the core works on it: ``minding.h``, ``relax.cpp``, ``allow.cpp``."""
+"""The memory of the relaxation of forces by name; the core works on it, see ``force_relaxation.h``."""
 
 from __future__ import annotations
 
@@ -13,14 +13,14 @@ from coopqp.spatial import Array
 _MORE_THAN_AT_START = 1.1
 
 
-def minding_scalars(memory: Array) -> Any:
+def relaxation_scalars(memory: Array) -> Any:
     """The scalars of the memory, by name."""
-    return _core.Minding.of(memory)
+    return _core.ForceRelaxation.of(memory)
 
 
-def minding_views(memory: Array, arms: int) -> dict[str, Array]:
+def relaxation_views(memory: Array, arms: int) -> dict[str, Array]:
     """The parts of the memory behind its scalars, by name; :mod:`coopqp.forces.frictional_contacts` has ``palms``."""
-    n, views, at = 6 * arms, {}, _core.Minding.NUMBERS
+    n, views, at = 6 * arms, {}, _core.ForceRelaxation.NUMBERS
     shapes: tuple[tuple[str, tuple[int, ...]], ...] = (
         ("silent", (arms,)), ("seen", (arms, 6)), ("internal", (arms, 6)), ("shift", (arms, 6)), ("drift", (arms, 6)),
         ("target", (arms, 6)), ("squeezed", (arms, 6)),
@@ -37,9 +37,9 @@ def minding_views(memory: Array, arms: int) -> dict[str, Array]:
     return views
 
 
-def minding_size(arms: int) -> int:
+def relaxation_size(arms: int) -> int:
     """Size of the memory for a number of arms."""
-    size: int = _core.Minding.size_for(arms)
+    size: int = _core.ForceRelaxation.size_for(arms)
     return size
 
 
@@ -52,4 +52,4 @@ def squeezes(m: Any) -> bool:
     """The arms squeeze the object while they relax, more than at the start: what should relax them pulls."""
     if m.stage != RELAXING or m.has_palms:
         return False
-    return bool(m.size >= m.force_holds and m.size > _MORE_THAN_AT_START * m.start_size)
+    return bool(m.largest_force >= m.force_holds and m.largest_force > _MORE_THAN_AT_START * m.start_size)

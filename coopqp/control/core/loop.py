@@ -17,7 +17,7 @@ from coopqp.checks import NOT_NUMBERS, as_floats
 from coopqp.constraints.cause import Cause
 from coopqp.constraints.rate import Knot
 from coopqp.constraints.velocity import ConstraintTrouble, Rows
-from coopqp.control.core.force_memory import minding_scalars
+from coopqp.control.core.force_memory import relaxation_scalars
 from coopqp.control.core.memory import build_memory, check_kinematics, put_options
 from coopqp.control.interface import ControlStep, SolverReport, Status
 from coopqp.control.operator.way import Way
@@ -28,7 +28,7 @@ from coopqp.control.step.decoding import STATUSES, RecordReader
 from coopqp.control.step.other_solver import StepSolver
 from coopqp.control.step.velocity_bounds import VelocityBox
 from coopqp.core import _core
-from coopqp.core._core import MOST_MINDING, SAME_CLOCK, SEGMENT
+from coopqp.core._core import MOST_RELAXING, SAME_CLOCK, SEGMENT
 from coopqp.errors import InvalidInputError
 from coopqp.model.cell import RobotCell
 from coopqp.model.chain import Chain
@@ -93,7 +93,7 @@ class CoreLoop:
         self._certified = constraints.certified
         numbers.certified = self._certified is not None
         numbers.leaves_path = constraints.gives_way
-        self._loop.overridden = self._loop.ease = 1.0
+        self._loop.override_rate = self._loop.posture_blend = 1.0
         self._share: float | None = math.nan  # of the accelerations that the path's options are for; none yet
         check_kinematics(chain, self._core.linearise)
         target = options.posture.target
@@ -104,7 +104,7 @@ class CoreLoop:
         self._core.bind(as_measured=self._as_measured, attach=self._attaches, say=self._say, said=self._said)
         self._evades: Callable[[], bool] | None = self._evade if constraints.evades else None
         if constraints:
-            self._core.bind(bound_knot=self._bound_knot)
+            self._core.bind(bound_node=self._bound_node)
         if constraints.velocity:
             self._core.bind(ask_for_rows=self._put_rows, tighten=self._tighten if constraints.evades else None)
         if self._certified is not None and not cell.groups:  # distances in the core's memory know each arm by itself
@@ -224,11 +224,11 @@ class CoreLoop:
 
     def bind_forces(self, memory: Array, **calls: Callable[..., None]) -> Callable[..., ControlStep]:
         """The core's step with wrenches: see :meth:`coopqp.QPController.bind_forces`."""
-        if len(self.cell) > MOST_MINDING:
-            raise InvalidInputError(f"{len(self.cell)} arms", "ForceController", f"Give at most {MOST_MINDING}.")
+        if len(self.cell) > MOST_RELAXING:
+            raise InvalidInputError(f"{len(self.cell)} arms", "ForceController", f"Give at most {MOST_RELAXING}.")
         self._core.bind_forces(memory)
         self._core.bind(**calls)
-        self._forces = minding_scalars(memory)
+        self._forces = relaxation_scalars(memory)
         step: Callable[..., ControlStep] = self._core.step_with_wrenches
         return step
 
@@ -245,24 +245,24 @@ class CoreLoop:
         self.at["changed_at"][0] = clock - SAME_CLOCK
 
     def _starting_rate(self) -> float:
-        override, paused = self.reins
+        override, paused = self.override
         return 0.0 if self._box.accelerates or paused else override
 
-    def set_reins(self, override: float, *, paused: bool) -> None:
+    def set_override(self, override: float, *, paused: bool) -> None:
         """Set override and pause from the next step on."""
-        self._loop.overridden, self._loop.pause = override, paused
+        self._loop.override_rate, self._loop.paused = override, paused
 
     @property
-    def reins(self) -> tuple[float, bool]:
+    def override(self) -> tuple[float, bool]:
         """Override, and whether the object is paused."""
-        return self._loop.overridden, bool(self._loop.pause)
+        return self._loop.override_rate, bool(self._loop.paused)
 
     def retarget(self, path: ServoPath, goal: pin.SE3, rate: float) -> bool:
         """Go over to a way to a target at a rate, if the first step along it keeps that rate and no joint jumps."""
         numbers, elbows = np.empty(4 + SEGMENT), self._guarded.elbows
         if elbows is not None:
             numbers = np.concatenate([numbers, elbows.packed()])
-        taken = self._core.go_over(_numbers_of(goal), numbers, path.speed, path.spin, rate) > 0
+        taken = self._core.retarget(_numbers_of(goal), numbers, path.speed, path.spin, rate) > 0
         if taken:
             path.take(goal, numbers[4 : 4 + SEGMENT])
         return taken
@@ -308,7 +308,7 @@ class CoreLoop:
     @property
     def status(self) -> Status:
         """Status of the last step."""
-        return STATUSES[int(self._loop.said)]
+        return STATUSES[int(self._loop.status)]
 
     @property
     def q(self) -> Array:
@@ -345,15 +345,15 @@ class CoreLoop:
             self._said.setdefault(code, why)
         return False
 
-    def _bound_knot(self, slot: int) -> bool:
+    def _bound_node(self, slot: int) -> bool:
         """Lower the cap and the decrease of a new knot as the constraints demand; False if they allow no rate.
 
         A constraint that fails makes the cap NaN.
         """
-        at, nv, numbers = self.at, self.cell.nv, self._core.knot(slot)
+        at, nv, numbers = self.at, self.cell.nv, self._core.node(slot)
         vectors = slice(nv * slot, nv * slot + nv)
-        q = self.cell.configuration_of(at["knot_positions"][vectors])
-        slope, curvature = (at[f"knot_{name}"][vectors].copy() for name in ("slope", "curvature"))
+        q = self.cell.configuration_of(at["node_positions"][vectors])
+        slope, curvature = (at[f"node_{name}"][vectors].copy() for name in ("slope", "curvature"))
         preview = self.options.preview
         share = 1.0 if preview is None else preview.curvature_share
         knot = Knot(numbers.clock, CellState(self.cell, q), slope, curvature, numbers.span)
@@ -362,7 +362,7 @@ class CoreLoop:
             if self._certified is not None:
                 quiet = self._certified.quiet_ahead
                 at["quiet_ahead_centre"][:], at["quiet_ahead_reach"][:] = quiet.centre, quiet.reach
-                self._loop.quiet_ahead = quiet.slack
+                self._loop.quiet_ahead_slack = quiet.slack
         except ConstraintTrouble as trouble:
             numbers.cap = math.nan
             return self._cannot_say(str(trouble))
@@ -390,7 +390,7 @@ class CoreLoop:
     def _say(self, step: ControlStep) -> None:
         """Put words into a step: why it holds, and what a solver of the user's has said."""
         p = self._proposal
-        report = self._report if p.solved else None
+        report = self._report if p.asked_solver else None
         self._reader.put_words(step, int(p.reason), self._said, report=report, held_by=self._held_by)
 
     def _hold(self, why: str, cause: Cause) -> None:
@@ -399,7 +399,7 @@ class CoreLoop:
         if p.watch_cap > 0.0:
             self._said[_CONSTRAINT_FAILED], self._held_by = why, cause
             p.watch_cap, p.hold = 0.0, True
-            p.reason, p.reason_arm = _CONSTRAINT_FAILED, -1
+            p.reason, p.reason_index = _CONSTRAINT_FAILED, -1
 
     def _attaches(self) -> bool:
         """Whether all arms that attach are where they grasp; else the step holds."""

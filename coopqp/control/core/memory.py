@@ -112,7 +112,7 @@ def put_options(memory: Memory, chain: Chain, box: VelocityBox, o: QPOptions, dt
         "nominal_dt": dt, "accelerates": box.accelerates, "recovery_unit": w.recovery**-0.5,
         "relax_unit": w.clearance**-0.5, "part_unit": w.chain**-0.5,
         "calm_unit": max(w.posture, CALM * w.chain) ** -0.5,
-        "rein_slope": slope, "posture_gain": o.posture.gain,
+        "override_slope": slope, "drift_limit": s.let_in, "posture_gain": o.posture.gain,
         "slow_from": -1.0 if s.slow_from is None else s.slow_from, "stall_samples": s.stall_samples or 0,
         "dt_low": s.dt_range[0], "dt_high": s.dt_range[1], "watches_force": s.stiffness is not None,
         "apart_hold": math.inf if s.apart_from is None else s.apart_from,

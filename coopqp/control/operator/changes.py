@@ -85,7 +85,7 @@ class Target(Change):
         """See :class:`Change`."""
         path = operator.way.path
         assert isinstance(path, ServoPath)
-        return operator.go_over(path, self.goal)
+        return operator.retarget(path, self.goal)
 
 
 @final
@@ -219,7 +219,7 @@ class Jog(Change):
         path.speed, path.spin = (float(np.linalg.norm(x)) or 1.0 for x in (v, w))
         ahead = min(JOG_AHEAD, LARGEST_TURN / path.spin)
         goal = pin.SE3(pin.exp3(ahead * w) @ here.rotation, here.translation + ahead * v)
-        taken = operator.go_over(path, goal)
+        taken = operator.retarget(path, goal)
         if taken:
             operator.jogged = np.concatenate([v, w])
         return taken
@@ -244,7 +244,7 @@ class Follow(Change):
         assert isinstance(path, ServoPath)
         operator.clutch, goal = clutch.goal(path.pose(operator.loop_clock))
         path.speed, path.spin = TARGET_SPEED, TARGET_SPIN
-        return operator.go_over(path, goal)
+        return operator.retarget(path, goal)
 
 
 @final
@@ -263,5 +263,5 @@ class Return(Change):
         path = way.path
         assert isinstance(path, ServoPath)
         path.speed, path.spin = RETURN_SPEED, RETURN_SPIN
-        operator.returns = operator.go_over(path, way.program.pose(way.origin))
+        operator.returns = operator.retarget(path, way.program.pose(way.origin))
         return operator.returns

@@ -213,12 +213,12 @@ class Operator:
     @property
     def override(self) -> float:
         """The largest rate σ that is asked for; forces may lower it in the loop."""
-        return self._override if self._brakes else float(self._loop.reins[0])
+        return self._override if self._brakes else float(self._loop.override[0])
 
     @override.setter
     def override(self, share: float) -> None:
         self._override = share
-        self._loop.set_reins(0.0 if self._brakes else share, paused=self._loop.reins[1])
+        self._loop.set_override(0.0 if self._brakes else share, paused=self._loop.override[1])
 
     # -- what is asked for -----------------------------------------------------------------------------------------
 
@@ -319,7 +319,7 @@ class Operator:
     def rein(self) -> None:
         """Tell the loop how fast it may go."""
         paused = self.expired if self.way.sense == 0 else self.paused
-        self._loop.set_reins(0.0 if self._brakes else self.override, paused=paused)
+        self._loop.set_override(0.0 if self._brakes else self.override, paused=paused)
 
     def take_gear(self, position: float, speed: float) -> None:
         """A measured position of the belt [s of the program], and its speed where it is the first one."""
@@ -372,10 +372,10 @@ class Operator:
             return False
         return bool(np.abs(twist - was).max() <= _SAME_TWIST * np.abs(was).max())
 
-    def go_over(self, path: ServoPath, goal: pin.SE3) -> bool:
+    def retarget(self, path: ServoPath, goal: pin.SE3) -> bool:
         """Take the way to a target if that is admissible now: at the full rate, the next time at the present one."""
         self.looked = True
-        loop, full = self._loop, 0.0 if self._loop.reins[1] else self.override
+        loop, full = self._loop, 0.0 if self._loop.override[1] else self.override
         now, late = loop.rate, self._late
         rate = min(now, full) if late else full
         taken = bool(loop.retarget(path, goal, rate))
@@ -425,7 +425,7 @@ class Operator:
     def _first_rate(self, way: Way, clock: float) -> float:
         """The rate that a path begins with from rest: full where the path itself begins at rest."""
         motion = GuardedPath(way.path).motion(clock)
-        override, paused = self._loop.reins
+        override, paused = self._loop.override
         return 0.0 if paused or motion is None or np.any(motion) else float(override)
 
     def _follow(self, way: Way, clock: float, rate: float) -> None:
@@ -442,7 +442,7 @@ class Operator:
     def rest_at(self, clock: float) -> None:
         """Rest on the program at a clock [s], paused."""
         self.paused = True
-        self._loop.set_reins(self.override, paused=True)
+        self._loop.set_override(self.override, paused=True)
         self._follow(*self.onward(self.way.program, clock), 0.0)
 
     def lead(self) -> bool:
@@ -456,7 +456,7 @@ class Operator:
         path = ServoPath(way.path.pose(at))
         path.grasps = None if way.path.grasps is None else way.path.grasps.still(at)
         self._left = way, at
-        self._loop.set_reins(self.override, paused=True)
+        self._loop.set_override(self.override, paused=True)
         self._follow(Way(path, way.program, clock, 0), 0.0, 0.0)
         self.rein()
         return True

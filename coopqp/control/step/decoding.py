@@ -103,7 +103,7 @@ class RecordReader:
         code = int(s.reason)
         if code == _REASONS["NO_REASON"]:
             return ""
-        given = s.reason_arm, s.reason_a, s.reason_b
+        given = s.reason_index, s.reason_a, s.reason_b
         if code == _REASONS["BAD_DT"]:
             return f"dt is not accepted: {given[1]:g} s is outside [{self._dt_range[0]:g}, {self._dt_range[1]:g}] s"
         return reason(self.cell, self._force_limit, code, *given)

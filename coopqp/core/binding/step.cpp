@@ -8,11 +8,11 @@
 #include "arrays.h"
 #include "core.h"
 #include "guards.h"
-#include "minding.h"
+#include "force_relaxation.h"
 
 /* Objects of Python that a Core holds: callables, empty for none, and what a step is made of. */
 enum Held {
-    OWN_PATH, BOUND_KNOT, STOPPING, EVADE, SOLVE, SURVEY_AHEAD, /* put numbers into the memory */
+    OWN_PATH, BOUND_NODE, STOPPING, EVADE, SOLVE, SURVEY_AHEAD, /* put numbers into the memory */
     CLEAR, FURTHER_ROWS, TIGHTENED, SURVEY_HERE, ATTACH,        /* in the order of the questions */
     ASK_FOR_ROWS, TIGHTEN,                                      /* of constraints that are not in the memory, or failed there */
     AS_MEASURED,                                                /* makes an array of any other object */
@@ -25,7 +25,7 @@ enum Held {
     OBJECTS
 };
 static const char *const HELD[OBJECTS] = {
-    "own_path", "bound_knot", "stopping", "evade", "solve", "survey_ahead", "clear", "further_rows", "tightened", "survey_here",
+    "own_path", "bound_node", "stopping", "evade", "solve", "survey_ahead", "clear", "further_rows", "tightened", "survey_here",
     "attach", "ask_for_rows", "tighten", "as_measured", "poll", "look", "say", "said", "before_forces", "after_forces", "tell", "step_type", "context",
     "status_names"};
 
@@ -45,7 +45,7 @@ struct BoundCore : Core {
     InOrNone grasp_array;        /* numbers of the tools' motion on the object */
     In path_array;               /* numbers of the path; or of the way to a new target: */
     InOrNone shift_array;        /* numbers of the path's shifts */
-    Out way_array, minding_array; /* relaxation of forces, also the core's */
+    Out way_array, relaxation_array; /* relaxation of forces, also the core's */
     nb::object objects[OBJECTS];
     unsigned long busy = 0;      /* the thread that works here; 0 for none */
     unsigned long stepper = 0;   /* the thread that made the last step; 0 for none */
@@ -122,7 +122,7 @@ static nb::dict fields_of(const BoundCore &self) {
         add({name, (size_t)(&number - self.memory), 1});
     };
     add_one("dt", self.proposal->dt), add_one("quiet_slack", self.loop->quiet_slack);
-    add_one("quiet_approach", self.loop->quiet_approach), add_one("quiet_ahead_slack", self.loop->quiet_ahead);
+    add_one("quiet_approach", self.loop->quiet_approach), add_one("quiet_ahead_slack", self.loop->quiet_ahead_slack);
     return found;
 }
 
@@ -239,7 +239,7 @@ static int traverse(PyObject *object, visitproc visit, void *arg) {
 static int clear(PyObject *object) {
     if (!nb::inst_ready(object)) return 0;
     BoundCore *self = nb::inst_ptr<BoundCore>(object);
-    self->own_path = nullptr, self->bound_knot = nullptr, self->evade = nullptr, self->solve = nullptr, self->survey_ahead = nullptr;
+    self->own_path = nullptr, self->bound_node = nullptr, self->evade = nullptr, self->solve = nullptr, self->survey_ahead = nullptr;
     for (nb::object &held : self->objects) held.reset();
     return 0;
 }
@@ -278,15 +278,15 @@ static int filled_in(Core *c, int which, Args... args) {
     return good;
 }
 
-/* What a knot in a slot is bound to: bodies in memory know what stops the object there, or leave it to Python. */
-static int bound_knot(Core *c, int slot) {
-    c->knot_asked = 1;
-    if (!bound(c)->objects[STOPPING]) return filled_in(c, BOUND_KNOT, slot);
+/* What a grid point in a slot is bound to: bodies in memory know what stops the object there, or leave it to Python. */
+static int bound_node(Core *c, int slot) {
+    c->node_asked = 1;
+    if (!bound(c)->objects[STOPPING]) return filled_in(c, BOUND_NODE, slot);
     bound(c)->guard(false);
-    const long label = asked(bound(c), STOPPING, DROPPED, slot, c->knots[slot].span);
+    const long label = asked(bound(c), STOPPING, DROPPED, slot, c->nodes[slot].span);
     bound(c)->guard(true);
-    if (label == -1) return filled_in(c, BOUND_KNOT, slot);
-    if (label >= 0) c->knots[slot].limit.joint = (int)label;
+    if (label == -1) return filled_in(c, BOUND_NODE, slot);
+    if (label >= 0) c->nodes[slot].limit.joint = (int)label;
     return label < 0;
 }
 
@@ -313,7 +313,7 @@ static long ask_constraints(Core *c, Question question) {
     self->guard(false);
     long found = -1;
     switch (question) {
-    case ASK_CLEAR: found = asked(self, which, DROPPED, blind, c->knot_asked != 0); break;
+    case ASK_CLEAR: found = asked(self, which, DROPPED, blind, c->node_asked != 0); break;
     case ASK_ROWS: found = rows_of(self, blind); break;
     case ASK_TIGHTER:
         if (!self->by_python) found = asked(self, which, DROPPED);
@@ -342,7 +342,7 @@ static void bind(BoundCore &self, const nb::kwargs &given) {
     self.own_path = where(OWN_PATH, +[](Core *c, double clock, int twist) { return filled_in(c, OWN_PATH, clock, twist); });
     self.evade = where(EVADE, +[](Core *c) { return filled_in(c, EVADE); });
     self.solve = where(SOLVE, +[](Core *c, int relax) { return filled_in(c, SOLVE, relax, c->width); });
-    self.bound_knot = where(BOUND_KNOT, bound_knot);
+    self.bound_node = where(BOUND_NODE, bound_node);
     self.asks_rows = self.objects[ASK_FOR_ROWS].is_valid();
     self.survey_ahead = where(SURVEY_AHEAD, +[](Core *c) {
         const int done = filled_in(c, SURVEY_AHEAD);
@@ -501,7 +501,7 @@ static nb::object make_step(BoundCore &self, const Maybe &q, const Maybe &dt) {
     propose(self);
     nb::object made = commit(self);
     PyObject *said = self.objects[SAID].ptr();
-    if (said && (self.proposal->solved || PyDict_Size(said) > 0)) self.objects[SAY](made);
+    if (said && (self.proposal->asked_solver || PyDict_Size(said) > 0)) self.objects[SAY](made);
     const bool due = self.steps_until_poll <= 1;
     if (!due) self.steps_until_poll--;
     if ((polled || due) && self.objects[LOOK]) self.objects[LOOK](made, due);
@@ -544,11 +544,11 @@ static void start_path(BoundCore &self, double clock, double rate) {
     raise_interrupt(&self);
 }
 
-/* go_over(goal, numbers, speed, spin, rate): 1 if the way in `numbers`, which the elbows' follow, is taken from now on; see core.h. */
-static int go_over(BoundCore &self, const In &goal, Out &numbers, double speed, double spin, double rate) {
+/* retarget(goal, numbers, speed, spin, rate): 1 if the way in `numbers`, which the elbows' follow, is taken from now on; see core.h. */
+static int retarget(BoundCore &self, const In &goal, Out &numbers, double speed, double spin, double rate) {
     check_fit(goal.size == 12 && numbers.size == 4 + SEGMENT + (Py_ssize_t)self.options->elbows * (1 + 2 * self.joints));
     const double *present = self.path_numbers;
-    const int found = self.run<&Arithmetic::go_over>(goal.data, speed, spin, rate, numbers.data);
+    const int found = self.run<&Arithmetic::retarget>(goal.data, speed, spin, rate, numbers.data);
     say_nothing(self);
     if (found > 0)
         self.way_array = std::move(numbers);
@@ -581,18 +581,18 @@ static const double *wrenches_of(const InOrNone &given, int arms) {
     return given.data;
 }
 
-static void check_minding(const Out &memory, long arms) {
-    check_fit(arms >= 1 && arms <= MOST_MINDING, "too many arms");
-    check_fit(memory.size == minding_size(arms));
+static void check_relaxation(const Out &memory, long arms) {
+    check_fit(arms >= 1 && arms <= MOST_RELAXING, "too many arms");
+    check_fit(memory.size == relaxation_size(arms));
 }
 
 /* bind_forces(memory): for step_with_wrenches. */
 static void bind_forces(BoundCore &self, const nb::object &memory) {
     Out forces;
     if (!forces.take(memory.ptr())) throw nb::type_error("expected an array of float64");
-    check_minding(forces, self.arms);
-    self.minding_array = std::move(forces);
-    self.minding = reinterpret_cast<Minding *>(self.minding_array.data);
+    check_relaxation(forces, self.arms);
+    self.relaxation_array = std::move(forces);
+    self.relaxation = reinterpret_cast<ForceRelaxation *>(self.relaxation_array.data);
 }
 
 /* step_with_wrenches(q, dt, wrenches), any objects: a step whose grasps give way to forces, and whose object is as fast as they let
@@ -600,16 +600,16 @@ static void bind_forces(BoundCore &self, const nb::object &memory) {
  * an operator's change is due, and where wrenches are no array (arms, 6). */
 static nb::object step_with_wrenches(BoundCore &self, const Maybe &q, const Maybe &dt, const Maybe &wrenches) {
     Stepping here(self);
-    const Minding *m = self.minding;
+    const ForceRelaxation *m = self.relaxation;
     InOrNone felt;
     check_fit(m, "no forces are bound");
     const bool fits = !wrenches || (felt.take(wrenches->ptr()) && felt.size == 6 * self.arms && felt.length(0) == self.arms);
     const bool alone = fits && !self.polled && gives_way(m) && m->age < LOOK_EVERY && self.loop->clock < m->look_at;
-    if (alone) self.run<&Arithmetic::mind>(felt.data, length_of(dt));
+    if (alone) self.run<&Arithmetic::relax_before_step>(felt.data, length_of(dt));
     else self.objects[BEFORE_FORCES](q, dt, wrenches);
     nb::object made = make_step(self, q, dt);
     if (!alone) return self.objects[AFTER_FORCES](made), made;
-    self.run<&Arithmetic::minded>();
+    self.run<&Arithmetic::relax_after_step>();
     if (m->why != NOTHING_MORE) self.objects[TELL](made);
     return made;
 }
@@ -650,9 +650,9 @@ void bind_step(nb::module_ &m) {
         .def_prop_ro("loop", [](BoundCore &self) { return part_of(self, self.loop); })
         .def_prop_ro("travels", [](BoundCore &self) { return part_of(self, self.travels); })
         .def_prop_ro("proposal", [](BoundCore &self) { return part_of(self, self.proposal); })
-        .def("knot", [](BoundCore &self, int slot) {
-            check_fit(slot >= 0 && slot < MOST_KNOTS, "there is no such grid point");
-            return part_of(self, self.knots + slot);
+        .def("node", [](BoundCore &self, int slot) {
+            check_fit(slot >= 0 && slot < MOST_NODES, "there is no such grid point");
+            return part_of(self, self.nodes + slot);
         })
         .def("bind", bind)
         .def("step", step) /* observe, propose, commit */
@@ -674,7 +674,7 @@ void bind_step(nb::module_ &m) {
         .def("set_path", set_path)
         .def("set_shifts", set_shifts, nb::arg().none())
         .def("set_grasps", set_grasps, nb::arg().none())
-        .def("go_over", go_over)
+        .def("retarget", retarget)
         .def("linearise", linearise)
         .def("shift_grasp", shift_grasp)
         .def("bind_forces", bind_forces)
@@ -683,11 +683,11 @@ void bind_step(nb::module_ &m) {
         .def("__init__", build_program)
         .def("solve", &LeastDistance::solve);
     m.def("relax", [](Out &memory, long arms, const InOrNone &wrenches, double dt) {
-        check_minding(memory, arms);
-        return (int)best()->relax((int)arms, reinterpret_cast<Minding *>(memory.data), wrenches_of(wrenches, (int)arms), dt);
+        check_relaxation(memory, arms);
+        return (int)best()->relax((int)arms, reinterpret_cast<ForceRelaxation *>(memory.data), wrenches_of(wrenches, (int)arms), dt);
     });
     m.def("allow", [](Out &memory, long arms, double dt) {
-        check_minding(memory, arms);
-        best()->allow((int)arms, reinterpret_cast<Minding *>(memory.data), dt);
+        check_relaxation(memory, arms);
+        best()->allow((int)arms, reinterpret_cast<ForceRelaxation *>(memory.data), dt);
     });
 }

@@ -1,8 +1,8 @@
 /* The relaxation of forces between N arms, in a memory of its own that Python owns. The scalars are in
- * the struct Minding; control/core/force_memory.py has the same views. `internal` is the internal wrenches less their target. */
+ * the struct ForceRelaxation; control/core/force_memory.py has the same views. `internal` is the internal wrenches less their target. */
 
-#ifndef COOPQP_MINDING_H
-#define COOPQP_MINDING_H
+#ifndef COOPQP_FORCE_RELAXATION_H
+#define COOPQP_FORCE_RELAXATION_H
 
 #include "memory.h"
 #include "views.h"
@@ -17,7 +17,7 @@ enum SensorFault { SENSORS_FINE, SENSOR_SILENT, SENSOR_WRONG };
 enum Why { NOTHING_MORE, BY_SENSOR, BY_REACH, BY_STAGE, BY_FRICTION, BY_FORCE, BY_CONTACT, BY_RELEASE };
 
 /* Scalars of the relaxation: settings, then state. */
-struct Minding {
+struct ForceRelaxation {
     double wrench_filter;       /* time constant of the filter of wrenches [s] */
     double dead_band;           /* a smaller internal force moves no grasp [N] */
     double relax_time;          /* time constants with which forces decay [s], */
@@ -25,15 +25,15 @@ struct Minding {
     double ramp_time;           /* time in which the grasps begin to move [s] */
     double wrench_silence;      /* a sensor may be silent for so long [s] */
     double most_speed, most_spin, most_reach, most_turn; /* of the grasps [m/s], [rad/s], [m], [rad] */
-    double wait;                /* forces are small for so long before the object moves [s] */
+    double wait_time;                /* forces are small for so long before the object moves [s] */
     double move_below;          /* smaller than this [N], */
     double pressed_below;       /* and of palms than this */
     double force_slows, force_holds; /* an internal force that slows the object, and one that holds it [N] */
     double squeeze, most_squeeze; /* force with which palms press [N], at the start and at most */
-    double size;                /* of the largest internal wrench [N]; 1 N m counts as 1 / TURN_LENGTH N */
+    double largest_force;                /* of the largest internal wrench [N]; 1 N m counts as 1 / TURN_LENGTH N */
     double stiffer;             /* ρ, the servos' stiffness over the given one */
-    double relax_ease;          /* share of their speed that the grasps have reached */
-    double since;               /* time in the stage, or for which forces are small [s] */
+    double relax_blend;          /* share of their speed that the grasps have reached */
+    double stage_time;               /* time in the stage, or for which forces are small [s] */
     double age;                 /* of the compliances [s] */
     double asked;               /* speed override: the rate that is asked for, */
     double force_cap;           /* that forces allow, */
@@ -44,21 +44,21 @@ struct Minding {
     double sensor_amount;       /* of the fault */
     double allowed;             /* rate at which the object may move now */
     double weight_x, weight_y, weight_z; /* of the payload, in world axes [N] */
-    double haste;               /* largest acceleration of a joint, filtered and remembered [rad/s² or m/s²] */
+    double joint_acceleration;               /* largest acceleration of a joint, filtered and remembered [rad/s² or m/s²] */
     double servo_samples, servo_noise; /* samples that the noise of off_servos is averaged over; it [m] */
-    double corrects;            /* share of the path correction that counts */
+    double correction_share;            /* share of the path correction that counts */
     double start_size;          /* `size` before the arms relax, at most [N] */
-    double way_done;            /* way of the joints in the last step [rad or m] */
+    double joint_way;            /* way of the joints in the last step [rad or m] */
     double load_mass;           /* of the payload [kg] */
     double contact_limit;       /* a force on the object from here on is a contact [N] */
-    double load_haste;          /* acceleration of the payload, remembered [m/s²], */
+    double load_acceleration;          /* acceleration of the payload, remembered [m/s²], */
     double touches;             /* for how long it still counts as in contact [s]; 0: it does not */
     double pushed;              /* force on it beside its weight and the arms [N] */
     double sharpest;            /* largest internal force of this sample [N] */
     double asked_dt, reference_dt; /* length of the last step, and of the one before [s] */
     double contact_late;        /* delay after which a contact is felt [s] */
-    double back_speed, back_owed, back_from; /* retreat: its speed [m/s], way that is left [m], distance where it began [m] */
-    double backs;               /* speed of the retreat in this step [m/s] */
+    double retreat_speed, retreat_left, retreat_from; /* retreat: its speed [m/s], way that is left [m], distance where it began [m] */
+    double retreats_at;               /* speed of the retreat in this step [m/s] */
     double load_speed;          /* of the payload, remembered [m/s] */
     double look_at;             /* clock from which on Python takes part again [s] */
     Stage stage;
@@ -88,9 +88,9 @@ struct TravelOf {
     V place, velocity, acceleration;
 };
 
-struct MindingArrays {
+struct RelaxationArrays {
     using Square = Eigen::Map<Eigen::Matrix<double, Eigen::Dynamic, Eigen::Dynamic, Eigen::RowMajor>>;
-    Minding *m;                                              /* the scalars */
+    ForceRelaxation *m;                                              /* the scalars */
     double *silent;                                          /* N */
     Twists seen, internal, shift, drift, target, squeezed;   /* wrenches, and twists */
     Square internal_of, yields;                              /* (6 N, 6 N) each */
@@ -107,12 +107,12 @@ struct MindingArrays {
     PushOf<Vector3> *push;
 };
 
-static inline MindingArrays minding_of(int arms, Minding *m) {
+static inline RelaxationArrays relaxation_of(int arms, ForceRelaxation *m) {
     const int n = 6 * arms;
-    double *at = reinterpret_cast<double *>(m) + NUMBERS(Minding);
+    double *at = reinterpret_cast<double *>(m) + NUMBERS(ForceRelaxation);
     const auto take = [&at](int size) { return (at += size) - size; };
     const auto twists = [&] { return Twists(take(n), 6, arms); };
-    const auto square = [&] { return MindingArrays::Square(take(n * n), n, n); };
+    const auto square = [&] { return RelaxationArrays::Square(take(n * n), n, n); };
     return {m, take(arms), twists(), twists(), twists(), twists(), twists(), twists(), square(), square(),
             take(PALM * arms), twists(), twists(), twists(), twists(), twists(), twists(), take(arms),
             take(arms), take(arms), take(n * n), {take(3 * n), n, 3}, square(), reinterpret_cast<Pose *>(take(12)),
@@ -121,13 +121,13 @@ static inline MindingArrays minding_of(int arms, Minding *m) {
 }
 
 /* Numbers of the whole memory. */
-static inline ptrdiff_t minding_size(ptrdiff_t arms) { return (ptrdiff_t)NUMBERS(Minding) + 39 + (94 + PALM) * arms + 144 * arms * arms; }
+static inline ptrdiff_t relaxation_size(ptrdiff_t arms) { return (ptrdiff_t)NUMBERS(ForceRelaxation) + 39 + (94 + PALM) * arms + 144 * arms * arms; }
 
-static_assert(std::is_trivially_copyable_v<Minding>);
+static_assert(std::is_trivially_copyable_v<ForceRelaxation>);
 
 /* The grasps give way in this step, unless a sensor is silent for too long. */
-static inline int gives_way(const Minding *m) {
-    return m->stepped != 0.0 && m->stage >= RELAXING && m->sensor_fault == SENSORS_FINE;
+static inline int gives_way(const ForceRelaxation *m) {
+    return m->stepped && m->stage >= RELAXING && m->sensor_fault == SENSORS_FINE;
 }
 
 #endif
