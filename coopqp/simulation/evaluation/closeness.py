@@ -112,22 +112,20 @@ class Closeness:
             without_start: leave out pairs of names that overlap at the first configuration.
         """
         placed = self._place(q)
-        self._required = self._required_at(placed)
-        least: tuple[float, int, float] | None = None
-        last = len(q) - 1
+        required = self._required_at(placed)
+        less = required.tolist() if to_margin else [0.0] * len(required)
+        least, last = (np.inf, -1, 0.0), len(q) - 1  # distance less what it is less of, pair, sample
         queue: list[tuple[float, int, int, int, float, float]] = []
         left_out = self.overlapping(q[0]) if without_start else set()
         for k in self._pairs:
             if self._labels[k] in left_out:
                 continue
-            least_away = float(self._away(placed, k).min())
-            heapq.heappush(queue, (least_away - self._less(k, to_margin), k, -1, last, 0.0, 0.0))
+            heapq.heappush(queue, (float(self._away(placed, k).min()) - less[k], k, -1, last, 0.0, 0.0))
         while queue:
             bound, k, first, end, d_first, d_end = heapq.heappop(queue)
-            if least is not None and bound >= least[0] - RESOLUTION:
+            if bound >= least[0] - RESOLUTION:
                 break
-            less = self._less(k, to_margin)
-            found: list[tuple[float, float]] = []
+            found, parts = list[tuple[float, float]](), list[tuple[int, int, float, float]]()
             if first < 0:
                 d_first, d_end = self._sampled(placed, k, 0), self._sampled(placed, k, last)
                 found = [(d_first, 0.0), (d_end, float(last))]
@@ -142,20 +140,19 @@ class Closeness:
                 for part in range(1, PARTS):
                     share = part / PARTS
                     found.append((self.at(pin.integrate(self._model, q[first], share * step), k), first + share))
-                parts = []
             for d, where in found:
-                if least is None or d - less < least[0]:
-                    least = (d - less, k, where)
+                if d - less[k] < least[0]:
+                    least = (d - less[k], k, where)
             for a, b, d_a, d_b in parts:
                 if b > a:
                     lower = 0.5 * (d_a + d_b - self._way(placed, k, a, b))
-                    heapq.heappush(queue, (min(lower, d_a, d_b) - less, k, a, b, d_a, d_b))
-        if least is None:
-            return None
+                    heapq.heappush(queue, (min(lower, d_a, d_b) - less[k], k, a, b, d_a, d_b))
         value, k, where = least
+        if k < 0:
+            return None
         at = float(np.interp(where, np.arange(len(time)), time))
-        pair = NearPair(*self._labels[k], value + self._less(k, to_margin))
-        return Closest(pair, at, float(self._required[k]), bool(self._inside[k]))
+        pair = NearPair(*self._labels[k], value + less[k])
+        return Closest(pair, at, float(required[k]), bool(self._inside[k]))
 
     def overlapping(self, q: Array) -> set[tuple[str, str]]:
         """Pairs of names that overlap at a configuration (nq,)."""
@@ -234,9 +231,6 @@ class Closeness:
             for t in np.flatnonzero(self._away(placed, k) < out).tolist():
                 out[t] = min(out[t], self._sampled(placed, k, t))
         return out
-
-    def _less(self, k: int, to_margin: bool) -> float:
-        return float(self._required[k]) if to_margin else 0.0
 
     def _away(self, placed: _Placed, k: int) -> Array:
         """Lower bound of the distance of a pair at each sample (T,) [m], by spheres about both bodies' origins."""

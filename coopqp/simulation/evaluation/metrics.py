@@ -43,13 +43,9 @@ def error_text(value: float, unit: str = "") -> str:
 
 
 def tool_placements(cell: RobotCell, configurations: ArrayLike) -> list[list[pin.SE3]]:
-    """T_world_tool of every arm at every configuration (T, nq), directly from Pinocchio's frames."""
-    data = workspace(cell)
-    out = []
-    for q in _table(configurations, cell.nq, "configurations"):
-        pin.framesForwardKinematics(cell.model, data, q)
-        out.append([data.oMf[f].copy() for f in cell.tool_frames])
-    return out
+    """T_world_tool of every arm at every configuration (T, nq)."""
+    tools = tool_matrices(cell, _table(configurations, cell.nq, "configurations"))
+    return [[pin.SE3(T) for T in row] for row in tools]
 
 
 def _table(rows: Any, width: int, what: str) -> Array:
