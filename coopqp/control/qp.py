@@ -21,23 +21,21 @@ from coopqp.control.core.loop import CoreLoop
 from coopqp.control.interface import ControlStep, Status, amend, short_text
 from coopqp.control.lock import alone
 from coopqp.control.operator.calls import OperatorCalls
-from coopqp.control.operator.changes import Target
 from coopqp.control.operator.operator import Operator
 from coopqp.control.operator.waiting import RATE_CALLS, Waiting, kind_of
 from coopqp.control.options import QPOptions
 from coopqp.control.step.constraint_set import Constraints
-from coopqp.control.step.start import check_start, held_command, rate_into, start_warning
-from coopqp.errors import BusyError, InvalidInputError, StartWarning, StiffnessWarning, UnknownNameError
+from coopqp.control.step.start import check_path, check_start, held_command, rate_into, start_warning
+from coopqp.errors import BusyError, InvalidInputError, StartWarning, StiffnessWarning
 from coopqp.model.cell import RobotCell
 from coopqp.model.grasp import Grasp, held_at
 from coopqp.model.state import CellState
-from coopqp.paths.elbows import Elbows
 from coopqp.paths.grasp_motion import GraspMotion
 from coopqp.paths.guarded import GuardedPath
-from coopqp.paths.moving_grasps import HOLD_ON, grasp_at, refuse_motion
+from coopqp.paths.moving_grasps import grasp_at
 from coopqp.paths.path import HoldPath, ObjectPath
 from coopqp.paths.servo import ServoPath
-from coopqp.spatial import Array, Placement, as_placement
+from coopqp.spatial import Array
 from coopqp.version import __version__
 
 
@@ -97,7 +95,7 @@ class QPController(OperatorCalls):
         self._loop.call(poll=self._before, look=self._after)
         #: The core's step.
         self._step = self._loop.step
-        self._started = self._outside = False
+        self.started = self._outside = False
         #: The memory of what relaxes the forces between the arms; None if nothing does.
         self.forces: Array | None = None
         #: By how much the tools are elsewhere on the object than the grasp says (N, 6); None if they are not.
@@ -121,15 +119,8 @@ class QPController(OperatorCalls):
         return self._loop
 
     def _check_path(self, path: ObjectPath) -> None:
-        """Refuse a path that is another cell's, or one whose tools move where they cannot."""
-        elbows = getattr(path, "elbows", None)
-        if isinstance(elbows, Elbows) and elbows.x.shape[1:] != (self.cell.nv,):
-            raise InvalidInputError("its elbows are those of another cell", "QPController: path", "Give this cell's.")
-        grasps = getattr(path, "grasps", None)
-        if self.cell.groups:
-            refuse_motion(path, "QPController: path", HOLD_ON)
-        if isinstance(grasps, GraspMotion):
-            self._check_motion(grasps)
+        shifted = self._shift is not None and bool(np.any(self._shift))
+        check_path(self.cell, path, self.constraints, shifted=shifted, relaxes=self.forces is not None)
 
     def _take(self, path: ObjectPath, clock: float = 0.0) -> float:
         self._check_path(path)
@@ -138,24 +129,9 @@ class QPController(OperatorCalls):
         self._attend()
         return begin
 
-    def _check_motion(self, grasps: GraspMotion) -> None:
-        """Refuse tools that move on the object where they are those of another cell, or give way as well."""
-        if len(grasps) != len(self.cell):
-            raise InvalidInputError("its grasps are those of another cell", "QPController: path", "Give this cell's.")
-        if grasps.arms[0] and any(hasattr(constraint, "scene") for constraint in self.constraints):
-            raise InvalidInputError(
-                f"the tool of arm '{self.cell.arm_names[0]}' moves on the object, and a scene places the object by it",
-                "QPController: constraints",
-                "Let the first arm of the cell hold the object at rest on it, or give no Clearance.",
-            )
-        if self._shift is not None and np.any(self._shift) and (self.forces is None or not grasps.holding_fixed):
-            raise InvalidInputError(
-                "its tools move on the object, and the grasps were shifted", "QPController: path", "Shift them back."
-            )
-
     def _attend(self) -> None:
         """Let the core call in each step, where an operator or a start has something to say."""
-        self._loop.polled = not self._started or self._outside or not self._operator.quiet
+        self._loop.polled = not self.started or self._outside or not self._operator.quiet
         if self._waiting:  # also what has come meanwhile
             self._loop.polled = True
 
@@ -219,7 +195,7 @@ class QPController(OperatorCalls):
         clock = _on(self.path, clock, "reset: clock")
         given, q = q, self.cell.at_rest(q, "reset: q")
         begin = q if commanded is None else held_command(self.cell, q, commanded, self.options.supervision.joint_jump)
-        again = self._started and isinstance(self.path, ServoPath)
+        again = self.started and isinstance(self.path, ServoPath)
         path = HoldPath(self._held_at(begin)) if again else self.path
         start = check_start(
             self.cell,
@@ -236,7 +212,7 @@ class QPController(OperatorCalls):
         warned = self._start_warnings(start, GuardedPath(path).pose(clock), clock)
         self._operator.restart(self.path, clock)
         self._operator.take_events()
-        self._started, self._outside = True, bool(warned)
+        self.started, self._outside = True, bool(warned)
         self._loop.start(start)
         first = self._take(self.path, clock)
         self._loop.start_path(first, self._first_rate(clock))
@@ -288,9 +264,9 @@ class QPController(OperatorCalls):
         return lambda operator: self._follow(path, clock)
 
     def _follow(self, path: ObjectPath, clock: float) -> None:
-        rate = self._rate_into(path, clock) if self._started else None
+        rate = self._rate_into(path, clock) if self.started else None
         begin = self._take(path, clock)
-        if self._started:
+        if self.started:
             self._loop.start_path(begin, self._first_rate(clock) if rate is None else rate)
             self._operator.begin_trail()
 
@@ -342,39 +318,6 @@ class QPController(OperatorCalls):
         """The path speed σ that a belt asks for, see :meth:`gear`; None if none does."""
         return self._operator.geared()
 
-    def pause(self) -> None:
-        """Bring the object to rest on its path, until :meth:`resume`; a reset or another path changes nothing.
-
-        At rest the status is PAUSED. Errors are still corrected; the arms' null-space motion stops.
-        """
-        self.operate("pause", None, lambda operator: operator.pause(True))
-
-    def resume(self) -> None:
-        """Go on after :meth:`pause`, up to the override."""
-        self.operate("resume", None, lambda operator: operator.pause(False))
-
-    def signal(self, name: str) -> None:
-        """A signal has come, such as "gripper closed": a program's gates that wait for it are open from now on.
-
-        In time the object goes through without slowing down; late it goes on from where it is. Until the signal comes
-        it rests at the gate, and the status is WAITING. A reset shuts all gates.
-
-        Raises:
-            UnknownNameError: no gate of the program waits for it.
-        """
-        self._check_signal(name)
-
-        def signal(operator: Operator) -> None:
-            self._check_signal(name)
-            operator.signal(name)
-
-        self.operate("signal", name, signal)
-
-    def _check_signal(self, name: str) -> None:
-        names = {gate for _, gate in self.path.gates}
-        if name not in names:
-            raise UnknownNameError("signal", name, sorted(names))
-
     @property
     def shares(self) -> Array:
         """Share of each arm in the object's pose (N, 6), by ``options.common_error``."""
@@ -406,38 +349,6 @@ class QPController(OperatorCalls):
         """Whether the object is asked to rest; once it does the status of a step is PAUSED."""
         return self._operator.paused
 
-    def retarget(self, T_world_object: Placement) -> None:
-        """Move the target of a :class:`ServoPath`.
-
-        The object goes over from its present motion, without a jump of its velocity, as fast as the joints can. Where
-        the look-ahead does not allow that, it brakes on its present way and goes over as soon as it may,
-        at rest at the latest. The last target wins.
-
-        Raises:
-            InvalidInputError: the path is no ServoPath, or the pose is not one; the old target stays.
-        """
-        wanted = as_placement(T_world_object, "retarget")
-        self.operate("retarget", wanted.homogeneous.tolist(), self.retargeting(wanted))
-
-    def retargeting(self, wanted: pin.SE3) -> Callable[[Operator], None]:
-        """What :meth:`retarget` asks for, checked as there."""
-        self._servo_path()
-        return lambda operator: self._retarget(operator, wanted)
-
-    def _servo_path(self) -> ServoPath:
-        path = self.path
-        if not isinstance(path, ServoPath):
-            what = f"the path is a {type(path).__name__}"
-            raise InvalidInputError(what, "retarget", "Build the controller with a ServoPath.")
-        return path
-
-    def _retarget(self, operator: Operator, wanted: pin.SE3) -> None:
-        path = self._servo_path()
-        if self._started:
-            operator.ask(Target(wanted))
-        else:
-            path.set_target(wanted, clock=0.0, rate=0.0)
-
     @property
     def _commanded(self) -> QPController:
         return self
@@ -461,7 +372,7 @@ class QPController(OperatorCalls):
         Raises:
             InvalidInputError: before the first :meth:`reset`, for a call that needs it.
         """
-        if started and not self._started:
+        if started and not self.started:
             raise InvalidInputError("nothing moves before reset", call, "Call reset(q) first.")
 
         def done() -> None:
@@ -585,7 +496,7 @@ class QPController(OperatorCalls):
 
     def _before(self, dt: Any) -> None:
         """What is due before a step, where the core calls: of calls from other threads, and of an operator."""
-        if not self._started:
+        if not self.started:
             raise InvalidInputError("step before reset", "QPController", "Call reset(q) first.")
         operator = self._operator
         if self._waiting:
@@ -618,7 +529,7 @@ class QPController(OperatorCalls):
         self._catch_up()
         names = ("cell", "grasp", "dt", "options", "constraints")
         state = {name: getattr(self, name) for name in names}
-        own = {"started": self._started, "outside": self._outside, "operator": self._operator.memory()}
+        own = {"started": self.started, "outside": self._outside, "operator": self._operator.memory()}
         own["shift"] = None if self._shift is None else self._shift.copy()
         return state | own | {"memory": self._loop.memory(), "version": __version__}
 
@@ -629,7 +540,7 @@ class QPController(OperatorCalls):
         started, outside, operator, shift, memory = (state.pop(name) for name in names)
         # the path may fail for a while: that is no reason not to be copied
         self._build(path=operator["way"].program, **state)
-        self._started, self._outside = started, outside
+        self.started, self._outside = started, outside
         self._operator.restore(operator)
         self._loop.restore(memory)
         self._attend()

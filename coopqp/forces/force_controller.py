@@ -48,7 +48,7 @@ from coopqp.paths.grasp_motion import HAND_OVER_S, GraspMotion
 from coopqp.paths.guarded import GuardedPath
 from coopqp.paths.moving_grasps import refuse_moving_holds
 from coopqp.paths.path import ObjectPath
-from coopqp.spatial import Array, Placement, as_placement
+from coopqp.spatial import Array
 
 #: Words for the stages, in their order.
 _STAGES = (
@@ -130,7 +130,7 @@ class ForceController(OperatorCalls):
 
     def _shares_of(self, holds: Holds) -> Array:
         """Shares in the object's pose (N, 6) while some arms hold it (N,)."""
-        return self.controller.shares if all(holds) else self._qp.shares_while(holds)
+        return self.controller.shares if all(holds) else self._commanded.shares_while(holds)
 
     def _begin(self) -> None:
         self._differences, self._compared = np.zeros((len(self.cell), 6)), 0
@@ -171,15 +171,11 @@ class ForceController(OperatorCalls):
         """See :attr:`coopqp.QPController.asked_pose`."""
         return getattr(self.controller, "asked_pose", None)
 
-    @property
-    def _commanded(self) -> QPController:
-        return self._qp
-
     def _takes(self, operator: Operator, change: Change) -> None:
         super()._takes(operator, change)
         self._scalars.goes_on = 1.0
 
-    def _going_on(self, act: Callable[[Operator], None]) -> Callable[[Operator], None]:
+    def _ending_hold(self, act: Callable[[Operator], None]) -> Callable[[Operator], None]:
         """A call that ends a hold, in the thread that steps."""
 
         def acts(operator: Operator) -> None:
@@ -189,7 +185,7 @@ class ForceController(OperatorCalls):
         return acts
 
     @property
-    def _qp(self) -> QPController:
+    def _commanded(self) -> QPController:
         """The controller within, for what only that one can do."""
         controller = self.controller
         if not isinstance(controller, QPController):
@@ -229,7 +225,7 @@ class ForceController(OperatorCalls):
             if clock == 0.0 and commanded is None:
                 self.controller.reset(q)
             else:  # only a QPController begins in mid-path, or elsewhere than it is measured
-                self._qp.reset(q, commanded=commanded, clock=clock)
+                self._commanded.reset(q, commanded=commanded, clock=clock)
             self._relaxation.begin(shift)
             self._begin()
             self._look_at_grips()
@@ -244,16 +240,7 @@ class ForceController(OperatorCalls):
         """Take another path; see :meth:`coopqp.QPController.follow`. It ends a hold, as :meth:`resume` does."""
         refuse_moving_holds(path, "ForceController.follow: path", _LET_GO)
         check_squeeze(self.cell, self.grasp, path, self.options)
-        self._qp.operate("follow", None, self._going_on(self._qp.following(path, clock)))
-
-    def retarget(self, T_world_object: Placement) -> None:
-        """Move the target of a servo path; see :meth:`coopqp.QPController.retarget`. It ends a hold, as resume does."""
-        wanted = as_placement(T_world_object, "retarget")
-        self._qp.operate("retarget", wanted.homogeneous.tolist(), self._going_on(self._qp.retargeting(wanted)))
-
-    def signal(self, name: str) -> None:
-        """A signal has come, such as "gripper closed"; see :meth:`coopqp.QPController.signal`."""
-        self._qp.signal(name)
+        self._commanded.operate("follow", None, self._ending_hold(self._commanded.following(path, clock)))
 
     def set_override(self, share: float) -> None:
         """The largest rate of the object; see :meth:`coopqp.QPController.set_override`."""
@@ -265,14 +252,6 @@ class ForceController(OperatorCalls):
 
     def _override(self, operator: Operator, share: float) -> None:
         operator.gear, self._scalars.asked = None, share
-
-    def pause(self) -> None:
-        """Bring the object to rest until :meth:`resume`; the arms go on to relax."""
-        self._qp.pause()
-
-    def resume(self) -> None:
-        """Go on after :meth:`pause`, or after the object has touched something: half a second after the last push."""
-        self._qp.operate("resume", None, self._going_on(lambda operator: operator.pause(False)))
 
     # -- the wrenches --------------------------------------------------------------------------------------------
 
@@ -321,7 +300,7 @@ class ForceController(OperatorCalls):
 
     def _before(self, q_measured: ArrayLike | None, dt: float | None, wrenches: ArrayLike | None) -> None:
         """Take wrenches before a step, and let the grasps give way, where the core does not."""
-        w, length = self._taken(wrenches), self.controller.accepted_dt(dt)
+        w, length = None if wrenches is None else self._shaped(wrenches), self.controller.accepted_dt(dt)
         relaxation, stage = self._relaxation, self._stage
         gives = relaxation.gives
         relaxation.hand_on(length)
@@ -361,7 +340,7 @@ class ForceController(OperatorCalls):
         if program is None and held.everywhere:
             m.look_at, self._leaves = np.inf, None
             return
-        controller, clock, due = self._qp, 0.0, False
+        controller, clock, due = self._commanded, 0.0, False
         holds, bears, moved = everywhere(len(self.cell))
         if program is not None and controller.held is not None:
             motion, clock, taken = controller.held
@@ -376,7 +355,7 @@ class ForceController(OperatorCalls):
 
     def _next_change(self, program: GraspMotion | None) -> tuple[float, Holds]:
         """How far the next change of contact is ahead on the object's clock [s], and who holds the object after it."""
-        now, sense = self._qp.program_clock, self._qp.sense
+        now, sense = self._commanded.program_clock, self._commanded.sense
         ahead = () if program is None or sense == 0 else program.changes
         left = min((sense * (at - now) for at in ahead if sense * (at - now) > -SAME_CLOCK), default=np.inf)
         if program is None or not np.isfinite(left):
@@ -385,16 +364,12 @@ class ForceController(OperatorCalls):
 
     def _rests_in(self, left: float) -> bool:
         """Whether the object is at rest on its path so far ahead [s]."""
-        motion = GuardedPath(self.path).motion(self._qp.program_clock + self._qp.sense * left)
+        motion = GuardedPath(self.path).motion(self._commanded.program_clock + self._commanded.sense * left)
         return motion is not None and float(np.abs(np.atleast_2d(motion)[0]).max()) <= STILL_OBJECT
 
     @property
     def _stage(self) -> int:
         return int(self._scalars.stage)
-
-    def _taken(self, wrenches: ArrayLike | None) -> Array | None:
-        """The wrenches as an array (N, 6) that the core can read."""
-        return None if wrenches is None else self._shaped(wrenches)
 
     def _shaped(self, wrenches: ArrayLike) -> Array:
         w = np.ascontiguousarray(wrenches, dtype=float)
@@ -519,8 +494,7 @@ class ForceController(OperatorCalls):
             return Cause.CONTACT
         if why == BY_SENSOR and cause is Cause.CONTACT:
             return Cause.SENSOR
-        paused = isinstance(self.controller, QPController) and self.controller.paused
-        if paused or cause not in (None, Cause.OPERATOR):  # forces lower the override
+        if self.paused or cause not in (None, Cause.OPERATOR):  # forces lower the override
             return cause
         by_sensor = why == BY_SENSOR or (why == BY_STAGE and self._stage == CHECKING)
         return Cause.SENSOR if by_sensor else Cause.LIMIT

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import abc
+from collections.abc import Callable
 from typing import Any
 
 from coopqp.checks import ArrayLike, as_scalar, as_vector
-from coopqp.control.operator.changes import Change, Jog, Return, Shift, Travel, on_program
+from coopqp.control.operator.changes import Change, Jog, Return, Shift, Target, Travel, on_program
 from coopqp.control.operator.operator import Operator
 from coopqp.errors import UnknownNameError
 from coopqp.paths.guarded import GuardedPath
@@ -17,7 +18,7 @@ DEADMAN = 0.1
 
 
 class OperatorCalls(abc.ABC):
-    """Reverse, step, jog, return and shift, beside pause, resume and override.
+    """Pause, signals, new targets; reverse, step, jog, return and shift.
 
     Each is a change that waits until it is admissible: the object brakes on its present way until then, at rest at the
     latest, and the reason of the steps says so. The last one wins. A bad value changes nothing. In HOLDING and FAULT a
@@ -39,6 +40,71 @@ class OperatorCalls(abc.ABC):
     def _takes(self, operator: Operator, change: Change) -> None:
         """Take a change, in the thread that steps."""
         operator.ask(change)
+
+    def pause(self) -> None:
+        """Bring the object to rest on its path, until :meth:`resume`; a reset or another path changes nothing.
+
+        At rest the status is PAUSED. Errors are still corrected, and arms go on to relax the forces between them; the
+        arms' null-space motion stops.
+        """
+        self._commanded.operate("pause", None, lambda operator: operator.pause(True))
+
+    def resume(self) -> None:
+        """Go on after :meth:`pause`, up to the override.
+
+        A :class:`coopqp.ForceController` also goes on after the object has touched something: half a second after the
+        last push.
+        """
+        self._commanded.operate("resume", None, self._ending_hold(lambda operator: operator.pause(False)))
+
+    def _ending_hold(self, act: Callable[[Operator], None]) -> Callable[[Operator], None]:
+        """A call that ends a hold by forces, where there are any."""
+        return act
+
+    def signal(self, name: str) -> None:
+        """A signal has come, such as "gripper closed": a program's gates that wait for it are open from now on.
+
+        In time the object goes through without slowing down; late it goes on from where it is. Until the signal comes
+        it rests at the gate, and the status is WAITING. A reset shuts all gates.
+
+        Raises:
+            UnknownNameError: no gate of the program waits for it.
+        """
+        controller = self._commanded
+
+        def check() -> None:
+            names = {gate for _, gate in controller.path.gates}
+            if name not in names:
+                raise UnknownNameError("signal", name, sorted(names))
+
+        def signal(operator: Operator) -> None:
+            check()
+            operator.signal(name)
+
+        check()
+        controller.operate("signal", name, signal)
+
+    def retarget(self, T_world_object: Placement) -> None:
+        """Move the target of a :class:`coopqp.ServoPath`.
+
+        The object goes over from its present motion, without a jump of its velocity, as fast as the joints can. Where
+        the look-ahead does not allow that, it brakes on its present way and goes over as soon as it may,
+        at rest at the latest. The last target wins.
+
+        Raises:
+            InvalidInputError: the path is no ServoPath, or the pose is not one; the old target stays.
+        """
+        change, controller = Target(as_placement(T_world_object, "retarget")), self._commanded
+        change.check(controller.path, controller.program_clock)
+
+        def act(operator: Operator) -> None:
+            if controller.started:
+                self._takes(operator, change)
+            else:
+                change.check(controller.path, 0.0)
+                controller.path.set_target(change.goal, clock=0.0, rate=0.0)
+
+        controller.operate("retarget", change.goal.homogeneous.tolist(), act)
 
     def reverse(self, to: float = 0.0) -> None:
         """Go back along the program to a clock [s], and rest there, PAUSED.

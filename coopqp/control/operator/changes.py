@@ -81,6 +81,12 @@ class Target(Change):
     goal: pin.SE3
     call, waits = "retarget", "the object brakes before it goes over to its new target"
 
+    def check(self, program: ObjectPath, clock: float) -> None:
+        """See :class:`Change`."""
+        if not isinstance(program, ServoPath):
+            what = f"the path is a {type(program).__name__}"
+            raise InvalidInputError(what, "retarget", "Build the controller with a ServoPath.")
+
     def attempt(self, operator: Any) -> bool:
         """See :class:`Change`."""
         path = operator.way.path

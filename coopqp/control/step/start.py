@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from typing import Any
+
 import numpy as np
 import pinocchio as pin
 
@@ -11,8 +14,10 @@ from coopqp.model.branches import AT_LIMIT, amount
 from coopqp.model.cell import RobotCell, slides
 from coopqp.model.grasp import Grasp
 from coopqp.model.state import CellState
+from coopqp.paths.elbows import Elbows
+from coopqp.paths.grasp_motion import GraspMotion
 from coopqp.paths.guarded import GuardedPath
-from coopqp.paths.moving_grasps import grasp_at
+from coopqp.paths.moving_grasps import HOLD_ON, grasp_at, refuse_motion
 from coopqp.paths.path import ObjectPath
 from coopqp.spatial import Array
 
@@ -22,6 +27,35 @@ START_TOLERANCE_M, START_TOLERANCE_RAD = 0.02, np.deg2rad(3.0)
 _REPORTED_FROM = 5e-5, np.deg2rad(5e-3)
 #: A path with a square of its speed below this rests [m²/s²].
 _RESTS = 1e-12
+
+
+def check_path(cell: RobotCell, path: ObjectPath, constraints: Sequence[Any], *, shifted: bool, relaxes: bool) -> None:
+    """Refuse a path that is another cell's, or one whose tools move where they cannot.
+
+    Args:
+        cell, constraints: of the controller.
+        shifted: the grasps were shifted, which give way to forces if ``relaxes``.
+
+    Raises:
+        InvalidInputError: see above.
+    """
+    elbows, grasps, where = getattr(path, "elbows", None), getattr(path, "grasps", None), "QPController: path"
+    if isinstance(elbows, Elbows) and elbows.x.shape[1:] != (cell.nv,):
+        raise InvalidInputError("its elbows are those of another cell", where, "Give this cell's.")
+    if cell.groups:
+        refuse_motion(path, where, HOLD_ON)
+    if not isinstance(grasps, GraspMotion):
+        return
+    if len(grasps) != len(cell):
+        raise InvalidInputError("its grasps are those of another cell", where, "Give this cell's.")
+    if grasps.arms[0] and any(hasattr(constraint, "scene") for constraint in constraints):
+        raise InvalidInputError(
+            f"the tool of arm '{cell.arm_names[0]}' moves on the object, and a scene places the object by it",
+            "QPController: constraints",
+            "Let the first arm of the cell hold the object at rest on it, or give no Clearance.",
+        )
+    if shifted and not (relaxes and grasps.holding_fixed):
+        raise InvalidInputError("its tools move on the object, and the grasps were shifted", where, "Shift them back.")
 
 
 def check_start(
