@@ -640,6 +640,11 @@ def test_the_monitor_finds_what_comes_too_close(lift: Scenario) -> None:
     verdict = check_run(free, scenario.cell, scene=scene_of(scenario))
     assert [kind.name for kind in verdict.counts] == ["CLEARANCE"]
     assert "object and post" in str(verdict)
+    for q in (free.q_command, free.q_command[::-1]):  # deepest at its end, or at its start
+        watched = Monitor(scenario.cell, free.grasp, keep=10_000, scene=scene_of(scenario))
+        found = watched.check_recorded(replace(free, q_command=q))
+        amounts = [violation.amount for violation in found.violations if violation.kind.name == "CLEARANCE"]
+        assert found.worst.clearance_m == pytest.approx(max(amounts), abs=2e-6)
     monitor = Monitor(scenario.cell, scenario.grasp, scenario.path, scene=scene_of(scenario))
     controller = QPController(lift.cell, lift.grasp, scenario.path, dt=lift.dt)
     controller.reset(scenario.q_start)

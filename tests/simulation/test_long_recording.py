@@ -155,7 +155,7 @@ def test_the_files_end_with_the_recording(scenario: Scenario, small: Path) -> No
 def test_parts_are_judged_as_the_whole(run: Recording, scenario: Scenario, monkeypatch: pytest.MonkeyPatch) -> None:
     """Also with steps that are not finite, limits that are broken, and a jump at the seam of two parts."""
     q, v = run.q_command.copy(), run.velocity.copy()
-    q[29:31], v[50] = np.nan, 1e3
+    q[29:31], v[49:52] = np.nan, 1e3
     q[35] += 0.1
     for made in (run, replace(run, q_command=q, velocity=v)):
         whole = read_run(scenario.cell, made)
