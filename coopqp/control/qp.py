@@ -492,7 +492,8 @@ class QPController(OperatorCalls):
                 asks for from another thread (:meth:`pause`, :meth:`resume`, :meth:`set_override`, :meth:`retarget`,
                 :meth:`follow`, :meth:`shift_grasp`) is no such call: it waits for the next step.
         """
-        return self._step(q_measured, dt)
+        core_step = self._step  # two lines: Python finds an attribute sooner than a method
+        return core_step(q_measured, dt)
 
     def _before(self, dt: Any) -> None:
         """What is due before a step, where the core calls: of calls from other threads, and of an operator."""

@@ -508,9 +508,20 @@ static nb::object make_step(BoundCore &self, const Maybe &q, const Maybe &dt) {
     return made;
 }
 
-static nb::object step(BoundCore &self, const Maybe &q, const Maybe &dt) {
-    Stepping here(self);
-    return make_step(self, q, dt);
+/* step(q, dt): observe, propose, commit. Called a thousand times a second, so without the layer that converts arguments. */
+static PyObject *step(PyObject *object, PyObject *const *arguments, Py_ssize_t count) noexcept {
+    try {
+        check_fit(count == 2 && nb::inst_ready(object), "a step takes q and dt, of a Core that was built");
+        const auto given = [&](int i) { return arguments[i] == Py_None ? Maybe() : Maybe(nb::borrow(arguments[i])); };
+        BoundCore &self = *nb::inst_ptr<BoundCore>(object);
+        Stepping here(self);
+        return make_step(self, given(0), given(1)).release().ptr();
+    } catch (nb::python_error &error) {
+        error.restore();
+    } catch (const nb::builtin_exception &error) {
+        PyErr_SetString(error.type() == nb::exception_type::type_error ? PyExc_TypeError : PyExc_ValueError, error.what());
+    }
+    return nullptr;
 }
 
 /* Steps without a ControlStep, to time the core alone. Returns how many were done. */
@@ -638,8 +649,11 @@ static void build_program(LeastDistance *self, In &A, In &low, In &high, In &lb,
 /* -- module ---------------------------------------------------------------------------------------------------------- */
 
 void bind_step(nb::module_ &m) {
+    static PyMethodDef methods[] = {
+        {"step", reinterpret_cast<PyCFunction>(reinterpret_cast<void (*)()>(step)), METH_FASTCALL, "The ControlStep of q and dt."},
+        {nullptr, nullptr, 0, nullptr}};
     static PyType_Slot slots[] = {
-        {Py_tp_traverse, reinterpret_cast<void *>(traverse)}, {Py_tp_clear, reinterpret_cast<void *>(clear)}, {0, nullptr}};
+        {Py_tp_methods, methods}, {Py_tp_traverse, reinterpret_cast<void *>(traverse)}, {Py_tp_clear, reinterpret_cast<void *>(clear)}, {0, nullptr}};
     record_name = PyUnicode_InternFromString("_record"), context_name = PyUnicode_InternFromString("_context");
     status_name = PyUnicode_InternFromString("status"), rate_name = PyUnicode_InternFromString("rate");
     m.attr("GAP") = GAP;
@@ -655,7 +669,6 @@ void bind_step(nb::module_ &m) {
             return part_of(self, self.nodes + slot);
         })
         .def("bind", bind)
-        .def("step", step) /* observe, propose, commit */
         .def_rw("steps_until_poll", &BoundCore::steps_until_poll)
         .def_rw("polled", &BoundCore::polled)
         .def("hold", enter)
