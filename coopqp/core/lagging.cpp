@@ -24,10 +24,11 @@ constexpr double LAG_SETTLES = 0.1; /* what the deviation is at rest is averaged
 /* Velocity of the object as commanded, in lengths at the grasps; 0 if it is not known. */
 static int told_velocity(const Core *c, Ref6 velocity) {
     Vector positions(c->scratch, c->joints, 1);
-    Pose *before = reinterpret_cast<Pose *>(c->scratch + c->joints);
+    const int arm = first_with_object(c);
+    Pose before;
     positions = c->positions - c->loop->last_dt * c->velocity;
-    carry(c, positions, before);
-    if (!log6(between(*before, c->carried[0]), velocity)) return 0;
+    follow_arm<false>(c, arm, positions, nullptr, &before, nullptr);
+    if (!log6(between(before, c->carried[arm]), velocity)) return 0;
     velocity = c->at_grasps.transpose() * (velocity / c->loop->last_dt);
     return 1;
 }

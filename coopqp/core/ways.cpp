@@ -57,13 +57,19 @@ static bool follows_way(const Core *c, int k) { return c->grasp_numbers && c->ow
 
 static bool any_follows_way(const Core *c) { return c->grasp_numbers && (c->own_way.array() != 0.0).any(); }
 
+/* The first arm that follows no way of its own: some arm holds the object. */
+static int first_with_object(const Core *c) {
+    int arm = 0;
+    while (any_follows_way(c) && arm + 1 < c->arms && c->own_way[arm] != 0.0) arm++;
+    return arm;
+}
+
 /* Arms that follow a way of their joints carry the object where the first of the others does. */
 static void carry_with_others(const Core *c, Pose *carried) {
     if (!any_follows_way(c)) return;
-    int other = 0;
-    while (other + 1 < c->arms && c->own_way[other] != 0.0) other++; /* some arm holds the object */
+    const Pose &held = carried[first_with_object(c)];
     for (int k = 0; k < c->arms; k++)
-        if (c->own_way[k] != 0.0) carried[k] = carried[other];
+        if (c->own_way[k] != 0.0) carried[k] = held;
 }
 
 /* Newton's step and q′ of these arms, a moment `before` a clock: onto the way, and along it. */

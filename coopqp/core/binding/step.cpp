@@ -511,7 +511,7 @@ static nb::object make_step(BoundCore &self, const Maybe &q, const Maybe &dt) {
 /* step(q, dt): observe, propose, commit. Called a thousand times a second, so without the layer that converts arguments. */
 static PyObject *step(PyObject *object, PyObject *const *arguments, Py_ssize_t count) noexcept {
     try {
-        check_fit(count == 2 && nb::inst_ready(object), "a step takes q and dt, of a Core that was built");
+        if (count != 2 || !nb::inst_ready(object)) throw nb::type_error("a step takes q and dt, of a Core that was built");
         const auto given = [&](int i) { return arguments[i] == Py_None ? Maybe() : Maybe(nb::borrow(arguments[i])); };
         BoundCore &self = *nb::inst_ptr<BoundCore>(object);
         Stepping here(self);
@@ -520,6 +520,8 @@ static PyObject *step(PyObject *object, PyObject *const *arguments, Py_ssize_t c
         error.restore();
     } catch (const nb::builtin_exception &error) {
         PyErr_SetString(error.type() == nb::exception_type::type_error ? PyExc_TypeError : PyExc_ValueError, error.what());
+    } catch (const std::exception &error) {
+        PyErr_SetString(PyExc_ValueError, error.what());
     }
     return nullptr;
 }
