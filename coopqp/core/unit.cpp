@@ -1,6 +1,6 @@
 /* The core as one unit: compiled for any processor and, where BUILD names another one, once more for a newer one. All of
  * it stands in a namespace of that name: of two templates or inline functions alike the linker keeps one, and this one's
- * instructions would run in the other build, too. So Eigen has another name in the newer one: see CMakeLists.txt. */
+ * instructions would run in the other build, too. So Eigen has another name in each: see CMakeLists.txt. */
 
 #include "core.h"
 
