@@ -619,7 +619,7 @@ ROBOT, BASE, QP = 'robot = "rx90l"', "xyz_m = [3.60, 0.50, 0.0]", 'kind = "qp" #
         (
             "duration_s = 3.0",
             "duration_s = { a = [1, 2], b = { c = { d = { e = { f = 1 } } } } }",
-            'path.duration_s: give a number, not {"a": [1, 2], "b": {"c":',
+            "path.duration_s: give a number, not a table",
         ),
         ("duration_s = 3.0", "duration_s = 12:30:00", "path.duration_s: give a number, not 12:30:00"),
         ("[output]", '[output]\nfolder = "../up"', "output.folder: give a folder below the working directory"),

@@ -237,7 +237,7 @@ def test_every_command_refuses_a_torso_with_two_commands(
     assert main([command[0], "cell.toml", *command[1:]]) == 2
     said = capsys.readouterr().err
     assert "joint 'torso_0' moves the tools of arms 'left' and 'right'" in said
-    assert 'Lock it in both arms: locked_joints_rad = { "torso_0" = 0.0 }' in said
+    assert 'Lock it in both arms: locked_joints_rad = {"torso_0" = 0.0}' in said
     assert sorted(path.name for path in tmp_path.iterdir()) == ["both.urdf", "cell.toml"]
     Path("cell.toml").write_text(text.replace("[[arms]]", "[[arms]]\nlocked_joints_rad = { torso_0 = 0.0 }"))
     assert main([command[0], "cell.toml", *command[1:]]) == 0

@@ -101,10 +101,13 @@ def _place(location: Sequence[int | str]) -> str:
 
 
 def _shown(value: Any) -> str:
-    """A value in the notation of a file, at most 60 characters."""
+    """A value in the notation of a file, at most 60 characters; of what holds text only what it is."""
     if isinstance(value, (str, int, float)) and not isinstance(value, bool):
         return shown(value)
-    return shortened(json.dumps(value, default=str, ensure_ascii=False).strip('"'))
+    text = json.dumps(value, default=str)
+    if isinstance(value, (dict, list)) and '"' in text:
+        return "a table" if isinstance(value, dict) else "a list with text"
+    return shortened(text.strip('"'))
 
 
 #: Names of programs, and their keys in a file.
