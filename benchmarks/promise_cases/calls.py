@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 
-from coopqp import Clearance, CollisionScene, CoopqpError, LinePath, ObjectPath, QPController, plan
+from coopqp import Clearance, CollisionScene, CoopqpError, InvalidInputError, LinePath, ObjectPath, QPController, plan
 from coopqp.scenarios import Scenario, dual_arm7, elbow_and_knob, paper_lift
 from promise_cases import Promise
 
@@ -71,7 +71,13 @@ class _Steps:
         self._begin()
 
     def _begin(self) -> None:
-        self.controller.reset(self._q)
+        while True:  # another thread's path may come between
+            self.controller.follow(self._path)
+            try:
+                self.controller.reset(self._q)
+            except InvalidInputError:
+                continue
+            break
         self.controller.step()
 
     def step(self) -> None:
@@ -85,7 +91,6 @@ class _Steps:
         finally:
             self.times.append(time.thread_time() - began)
         if step.finished:
-            self.controller.follow(self._path)
             self._begin()
 
 
