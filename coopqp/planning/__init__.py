@@ -3,5 +3,7 @@
 from coopqp.lazy import attach
 
 __getattr__, __dir__, __all__ = attach(
-    __name__, __file__, gone=dict.fromkeys(("Bodies", "SearchedBodies"), "coopqp.CollisionScene")
+    __name__,
+    __file__,
+    gone=dict.fromkeys(("Bodies", "SearchedBodies"), "coopqp.CollisionScene has what they asked for"),
 )
